@@ -49,7 +49,7 @@ class Forces(Protocol):
 
 
 class Environment(Protocol):
-    """What a substep or a thermostat can use when it is bound.
+    """The argument of `bind`: what a substep or a thermostat can use.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class Environment(Protocol):
 
     @property
     def divergence(self) -> DivergenceCheck:
-        """What raises for states that have diverged: ``finite(state)`` and ``finite_momenta(state)``."""
+        """The divergence check; ``finite(state)`` and ``finite_momenta(state)`` raise errors for diverged states."""
 
     @property
     def degrees_of_freedom(self) -> tuple[int, int]:

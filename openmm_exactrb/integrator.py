@@ -300,7 +300,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         """Return the step size in ps, from the step size or from the interval between force evaluations."""
         if (size is None) == (interval is None):
             raise ValueError(
-                "give either stepSize=, that of a whole step, or forceInterval=, that between force evaluations"
+                "give either stepSize=, the time of a whole step, or forceInterval=, that between two force evaluations"
             )
         if interval is None:
             return picoseconds(size)

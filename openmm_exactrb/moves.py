@@ -38,7 +38,7 @@ class Move:
     ----------
     op : Op or int
     part : float
-        Fraction of the step; for the number e of a displacement, of its square.
+        Fraction of the step; for the number e of a displacement, fraction of its square.
     number : int
         For a heat exchange, its index in the step. For a move that stores forces, its index among those of the step.
         For a kick by stored forces, the number of weights of forces; the other weights are those of differences.
@@ -52,7 +52,7 @@ class Move:
         Source of a user's move: a function ``DEVICE inline void NAME(Body* body, double tau)`` in OpenMM's kernel
         dialect; if the text defines several, the last one.
     late : bool
-        Whether it belongs to the step after the one that a segment ends.
+        Whether the move belongs to the next step, if a segment ends a step.
     """
 
     op: int
@@ -90,5 +90,5 @@ def of_substep(substep: Any, part: float) -> tuple[Move, ...]:
     if moves is None:
         raise ValueError(f"the substep {substep!r} has no code for a device: define its method device_moves()")
     if any(move.op == Op.OWN and not MOVE.search(move.text) for move in moves):
-        raise ValueError(f"the code of {substep!r} has no `DEVICE inline void NAME(Body* body, double tau)`")
+        raise ValueError(f"the code of {substep!r} must define `DEVICE inline void NAME(Body* body, double tau)`")
     return moves

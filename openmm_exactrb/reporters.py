@@ -164,8 +164,8 @@ class MomentReporter(_Lines):
         particles = simulation.system.getNumParticles()
         if len(self._charges) != particles:
             raise ValueError(
-                f"charges must be one for each of the {particles} particles of the System, and there are "
-                f"{len(self._charges)}: give 0 for those without a charge"
+                f"charges must have one entry for each of the {particles} particles of the System, not "
+                f"{len(self._charges)}: give 0 for particles without a charge"
             )
         if self._links is None:
             _check_ions(self._charges, _molecules(simulation))

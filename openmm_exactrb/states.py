@@ -48,8 +48,8 @@ def loadState(target: app.Simulation | openmm.Context, source: str | os.PathLike
     x = state.getPositions(asNumpy=True)
     if len(x) != context.getSystem().getNumParticles():
         raise ValueError(
-            f"the State has {len(x)} particles, but the System has {context.getSystem().getNumParticles()}: they "
-            "do not belong together"
+            f"the State has {len(x)} particles, but the System has {context.getSystem().getNumParticles()}: load "
+            "a State of the same System"
         )
     context.setTime(state.getTime())
     context.setStepCount(state.getStepCount())

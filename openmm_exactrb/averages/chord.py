@@ -1,13 +1,14 @@
 """The step-size error of drifts that move particles straight on and then back onto their constraints.
 
-LangevinMiddleIntegrator drifts along a chord: it goes as far as it would without constraints, and is brought back along
-their gradients at the start. With the heat exchange halfway, such a drift conserves in addition, next to the exchange,
+LangevinMiddleIntegrator drifts along a chord: it moves the particles as if there were no constraints, and then back
+along the gradients at the start. With the heat exchange halfway, such a drift additionally conserves, next to the
+exchange,
 
     h² T,        T = a·M a/24,
 
-where a is the acceleration of a free motion with these constraints; the noise along the gradients, which enters the
-velocities by half, changes no average to second order. Let r_c be the vector between the two ends of a constraint, u_c
-its rate, and E the matrix of the differences of ends. Then
+where a is the acceleration of a free motion with these constraints; the noise along the gradients, half of which enters
+the velocities, changes no average to second order. Let r_c be the vector between the two ends of a constraint, u_c its
+rate, and E the matrix of the differences of ends. Then
 
     a·M a = q·Z⁻¹q,        q_c = |u_c|²,        Z_cd = L_cd r_c·r_d,        L = E M⁻¹Eᵀ.
 """
@@ -37,7 +38,7 @@ class _Held(NamedTuple):
 
 
 class Chords:
-    """What the drifts of the constrained particles of a System conserve.
+    """The conserved quantity of the drifts of the constrained particles of a System.
 
     Parameters
     ----------
@@ -45,7 +46,7 @@ class Chords:
     pairs : (m, 2) array
         The particles of all constraints of the System.
     x : (n_particles, 3) array
-        Positions in nm, which obey the constraints of clusters that are not rigid.
+        Positions in nm that satisfy the constraints of nonrigid clusters.
 
     Raises
     ------
@@ -85,7 +86,7 @@ class Chords:
 
 
 def _clusters(bodies: RigidBodies, pairs: Indices) -> Iterator[tuple[Indices, Array, Indices, Array | None]]:
-    """Yield particles (N, n), masses (n,), members of constraints (m, 2), and the sites of clusters that are rigid.
+    """Yield particles (N, n), masses (n,), members of constraints (m, 2), and the sites of rigid clusters.
 
     Sites are (1, n, 3) of one shape, or (N, n, 3), in nm.
     """

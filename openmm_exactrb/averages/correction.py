@@ -5,14 +5,14 @@ and W = f·M⁻¹f_s. The error that a splitting of steps h gives the average of
 
     h² {-(alpha + beta) Cov(A, S)/kT - kappa <grad A · M⁻¹f_s> + J},
 
-where kappa = alpha + y²/2 - c (`openmm_exactrb.schemes.second_order`) and J depends on the friction. If friction is far
-slower than the exchange of energy between motions, and if it is far faster than all motions,
+where kappa = alpha + y²/2 - c (`openmm_exactrb.schemes.second_order`) and J depends on the friction. In the limits of
+friction far slower than the exchange of energy between motions, and far faster than all motions, respectively,
 
     J = 2 alpha <W> Cov(A, U)/(n kT²),        J = -2 alpha <grad A · M⁻¹f_s> - alpha Cov(A, W)/kT,
 
 with n degrees of freedom; the second is exact only without inner steps, and also holds for harmonic motions that
-exchange no energy, at any friction. A correction takes the middle of these limits. Drifts along chords conserve h² T in
-addition (`openmm_exactrb.averages.chord`), which adds
+exchange no energy, at any friction. A correction uses the mean of these limits. Drifts along chords also conserve h² T
+(`openmm_exactrb.averages.chord`), which adds
 
     -Cov(A, T)/kT + 4 <T> Cov(A, U)/(n kT²)
 
@@ -201,7 +201,7 @@ _Estimate = tuple[float, _Observable]
 
 
 def _errors(settings: Settings, columns: Columns, of: _Observable, local: bool, excess: float) -> tuple[float, float]:
-    """Return the errors of an average for weak and for strong friction; the barostat may have an excess (bar)."""
+    """Return the errors of an average for weak and for strong friction; the pressure may have an excess (bar)."""
     if not settings.barostat:
         return _at_fixed_volume(settings, columns, of, local, None)
     volume = columns["volume"]
@@ -272,7 +272,7 @@ def _named(settings: Settings, name: str) -> Callable[[Columns], _Estimate]:
 
     def estimate(columns: Columns) -> _Estimate:
         if needs not in columns:
-            raise ValueError(f"the {name} needs the {needs}: report with pressure=True")
+            raise ValueError(f"the {name} needs the {needs}: create the AverageReporter with pressure=True")
         return of(settings, columns)
 
     return estimate
@@ -287,7 +287,7 @@ def _given(values: Any, slope: Any, columns: Columns) -> Callable[[Columns], _Es
     fits = array.shape == (frames,) and len(slopes) == 2 and all(s.shape in ((), (frames,)) for s in slopes)
     if not fits or not all(np.isfinite(some).all() for some in (array, *slopes)):
         raise ValueError(
-            f"an observable needs one finite value, and one slope, for each of the {frames} frames of the file"
+            f"observable and slope must have one finite number for each of the {frames} frames of the file"
         )
     slopes = [np.broadcast_to(s, (frames,)) for s in slopes]
     steps = columns["step"]

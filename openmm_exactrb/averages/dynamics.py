@@ -161,7 +161,7 @@ def _of_openmm(simulation: Any, frictions: tuple[float, ...]) -> Dynamics:
 
 
 def _damping(thermostat: Langevin, bodies: RigidBodies, flexible: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return the frictions of bodies relative to their mean; some bodies are in flexible molecules."""
+    """Return the frictions of bodies relative to their mean; bodies in flexible molecules may have their own."""
     rates = zip(thermostat.frictions, thermostat.flexible_frictions, strict=True)
     translation, rotation = (np.where(flexible, other, rate) for rate, other in rates)
     rotation = rotation[: bodies.n_turning]

@@ -44,7 +44,7 @@ class Force(NamedTuple):
 
 
 class Frames:
-    """Reads the frames of a Simulation with given dynamics."""
+    """The frames of a Simulation with given dynamics."""
 
     def __init__(
         self, simulation: Any, dynamics: Dynamics, pressure: bool, around: tuple[Sequence[int], float] | None
@@ -99,7 +99,7 @@ class Frames:
         return one, other
 
     def _near(self, x: Array, state: openmm.State) -> tuple[Array, Array]:
-        """Return 1 for each body with a particle near the user's, and 0 for the others."""
+        """Return 1 for each body with a particle near those that the user selected, and 0 for the others."""
         assert self._around is not None
         particles, distance = self._around
         gaps = x[:, None] - x[None, list(particles)]
@@ -164,7 +164,7 @@ class _FastContext:
 
 
 class _ScaledContext:
-    """Energies and forces in boxes of other sizes, in which a barostat moves the centres of molecules.
+    """Energies and forces in boxes of other sizes, to which a barostat would move the centres of molecules.
 
     A molecule's centre is the mean position of its particles, as for OpenMM's barostats.
     """
@@ -173,7 +173,9 @@ class _ScaledContext:
         context, system = simulation.context, simulation.system
         self._context = context
         if not system.usesPeriodicBoundaryConditions():
-            raise ValueError("a System without a periodic box has no pressure: report with pressure=False")
+            raise ValueError(
+                "a System without a periodic box has no pressure: create the AverageReporter with pressure=False"
+            )
         platform = context.getPlatform()
         properties = {name: platform.getPropertyValue(context, name) for name in platform.getPropertyNames()}
         kept = {name: value for name, value in properties.items() if name in ("Precision", "Threads", "DeviceIndex")}
@@ -185,7 +187,7 @@ class _ScaledContext:
         self._ideal = self.molecules * kT
 
     def _centres(self, x: Array) -> Array:
-        """Return the means (molecules, 3) of vectors of particles."""
+        """Return the mean vectors (molecules, 3) of the particles of each molecule."""
         return np.stack([np.bincount(self._molecule, column) for column in x.T], axis=1) / self._sizes[:, None]
 
     def pressure(

@@ -26,7 +26,7 @@ class Settings:
     alpha, beta : float
         Coefficients of the conserved energy; see `openmm_exactrb.schemes.second_order`.
     slopes : (float, float)
-        Coefficients of the negative slope of an observable, for bodies without and with inner steps.
+        Coefficients of minus the slope of an observable, for bodies without and with inner steps.
     temperature : float
         In K.
     kT : float
@@ -110,7 +110,7 @@ def read(file: str | os.PathLike[str]) -> tuple[Settings, dict[str, Array]]:
     """
     lines = Path(file).read_text(encoding="utf-8").splitlines()
     if len(lines) < 2 or not lines[0].startswith(_MARK):
-        raise ValueError(f"{file} was not written by an AverageReporter: give the file that one wrote")
+        raise ValueError(f"{file} was not written by an AverageReporter: pass the file of one")
     names = [name.split(" (")[0] for name in lines[1].split(",")]
     rows = [line.split(",") for line in lines[2:]]
     for number, row in enumerate(rows, start=3):

@@ -44,7 +44,7 @@ def _picoseconds(text: str) -> float:
 
 
 def one_of(names: Iterable[str]) -> dict[str, Any]:
-    """Return the arguments of argparse for an option that is one of some names, in any case."""
+    """Return the arguments of argparse for an option that is one of several names, in upper or lower case."""
     by_case = {name.lower(): name for name in names}
     return {"type": lambda text: by_case.get(text.lower(), text), "choices": [*by_case.values()]}
 
@@ -58,7 +58,7 @@ time_or_zero = _option(_picoseconds, lambda value: value >= 0.0, f"a time of at 
 
 
 def flag(name: str) -> str:
-    """Return the option of a name in Python: --inner-steps for innerSteps."""
+    """Return the command-line option for an argument in Python: --inner-steps for innerSteps."""
     return "--" + re.sub("([A-Z])", r"-\1", name).lower()
 
 

@@ -64,7 +64,7 @@ def described(
 
 
 def _found(system: openmm.System, positions: unit.Quantity | None) -> tuple[RigidBodies, list[str]]:
-    """Return the bodies of a first step and what it warns of; without positions, what constraints say alone."""
+    """Return the bodies of a first step and its warnings; without positions, what constraints alone determine."""
     if positions is None:
         return find_bodies(system, np.random.default_rng(1).standard_normal((system.getNumParticles(), 3))), []
     integrator = ExactRigidBodyIntegrator(0.001)
@@ -111,7 +111,7 @@ def _particles(system: openmm.System) -> Iterator[str]:
 
 
 def _bodies(bodies: RigidBodies, names: _Names) -> Iterator[str]:
-    """Yield a line for each number of particles in rigid bodies and clusters, and one for single particles."""
+    """Yield a line for each size of rigid bodies and clusters, and one for single particles."""
     several: dict[tuple[int, bool, bool], list[Kind]] = {}
     for kind in bodies.kinds:
         if len(kind.masses) > 1:

@@ -33,8 +33,8 @@ _PART, _LONGEST = 0.2, 5.0
 def claim(job: Run, args: argparse.Namespace, files: Iterable[str]) -> None:
     """Prepare the folder of a locked run: delete overwritten files, and raise ValueError for files of other runs.
 
-    `files` are those that the run may write in addition to the files of this module, which a run resumed without a
-    checkpoint creates again.
+    The run may write `files`, in addition to the files of this module, which a run resumed without a checkpoint creates
+    again.
     """
     if job.resuming:
         return
@@ -64,7 +64,7 @@ def start_of(job: Run, args: argparse.Namespace, box: Box, platform: openmm.Plat
 def step_of(
     job: Run, args: argparse.Namespace, box: Box, start: openmm.State, platform: openmm.Platform
 ) -> tuple[dict[str, Any], float]:
-    """Return options of the integrator, including its scheme, and the step in ps; tuned unless a step is given."""
+    """Return options of the integrator, such as its scheme, and the step in ps, both tuned unless a step is given."""
     if args.step is not None:
         return {} if args.scheme is None else {"scheme": args.scheme}, args.step
     if job.resuming:

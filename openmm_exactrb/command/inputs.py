@@ -45,7 +45,7 @@ _SWITCH = 0.1 * unit.nanometer  # width in which forces go to zero: a jump at th
 
 @dataclass(frozen=True)
 class Box:
-    """The molecules of a run; a State is given if the start was read from one."""
+    """The molecules of a run, with a State if the start was read from one."""
 
     topology: app.Topology
     system: openmm.System
@@ -78,13 +78,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def with_defaults(args: argparse.Namespace, others: Mapping[str, Any] | None = None) -> argparse.Namespace:
-    """Return the options with the defaults of those that were not given: of molecules, and others."""
+    """Return the options, with defaults for those that were not given: options of molecules, and others."""
     named = {name: value for name, value in vars(args).items() if value is not None}
     return argparse.Namespace(**vars(args) | {"seed": 1} | DEFAULTS | dict(others or {}) | named)
 
 
 def check_idle(args: argparse.Namespace, box: Box, others: Iterable[tuple[bool, str, str]] = ()) -> None:
-    """Raise ValueError if an option was given that has no effect: those of molecules, and others with the reason."""
+    """Raise ValueError if an option was given that has no effect: of molecules, or one of `others` with its reason."""
     unboxed = box.topology.getPeriodicBoxVectors() is None
     idle = [
         (box.state is not None, "constraints cutoff ewald_tolerance water", "a System has its forces and constraints"),
@@ -137,7 +137,10 @@ def _serialised(args: argparse.Namespace) -> Box:
         raise ValueError(f"{args.files[1]} has no positions: save it with simulation.saveState")
     positions = state.getPositions(asNumpy=True)
     if len(positions) != system.getNumParticles():
-        raise ValueError(f"the State has {len(positions)} particles, but the System has {system.getNumParticles()}")
+        raise ValueError(
+            f"the State has {len(positions)} particles, but the System has {system.getNumParticles()}: "
+            "give files of one run"
+        )
     return Box(topology_of(system, state), system, positions, state)
 
 
@@ -151,8 +154,8 @@ def _with_topology(args: argparse.Namespace, topology: Path, places: Path) -> Bo
     content: Any = _understood(str(topology), read_topology, str(topology), periodicBoxVectors=vectors)
     if len(start.positions) != content.topology.getNumAtoms():
         raise ValueError(
-            f"{places} has {len(start.positions)} particles, but {topology} has {content.topology.getNumAtoms()}: they "
-            "do not belong together"
+            f"{places} has {len(start.positions)} particles, but {topology} has {content.topology.getNumAtoms()}: give "
+            "files of the same molecules"
         )
     system = _system(args, content.createSystem, content.topology, vectors)
     return Box(content.topology, system, start.positions)
@@ -221,7 +224,7 @@ def _system(
 
 
 def _understood(what: str, function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
-    """Call a function of openmm.app; raise a ValueError for whatever it raises about a user's file."""
+    """Call a function of openmm.app; turn any exception about a user's file into a ValueError."""
     try:
         return function(*arguments, **options)
     except OSError:

@@ -61,7 +61,7 @@ def _status(args: argparse.Namespace) -> int:
 
 
 def _told(error: Exception) -> str:
-    """Return the message of an error in one line; that of an OSError without its number."""
+    """Return the message of an error in one line, without the number of an OSError."""
     if isinstance(error, FileNotFoundError) and error.filename:
         return f"there is no file {error.filename}"
     if isinstance(error, OSError) and error.filename and error.strerror:

@@ -1,1 +1,1 @@
-"""One Context of OpenMM and all that touches it."""
+"""Access to an OpenMM Context: forces, state, variables and updates."""

@@ -1,4 +1,4 @@
-"""Forces of a Context as a function of positions."""
+"""The forces of a Context as a function of positions."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class ContextForces(EvaluatedForces):
         return float(found.getPotentialEnergy()._value), *self.positions.bodies.forces(state, arrays.forces(found))
 
     def of(self, groups: int, counter: str = "evaluations") -> ContextForces:
-        """Return the forces of the groups that are also in another set (bits)."""
+        """Return the forces of those groups that are also in another set (bits)."""
         return ContextForces(self.positions, self.groups & groups, self._timings, counter)
 
     def _potential_energy(self, place: Callable[[State], None], state: State) -> float:
@@ -97,7 +97,7 @@ class ContextForces(EvaluatedForces):
         return self.positions.bodies.forces(state.rounded, arrays.forces(found))
 
     def _asked(self, place: Callable[[State], None], state: State, **kinds: bool) -> Any:
-        """Return OpenMM's evaluation at the positions of a state, and count it."""
+        """Return OpenMM's State at the positions of a state of the bodies, and count the evaluation."""
         start = time.perf_counter()
         place(state)
         found = self.positions.context.getState(groups=self.groups, **kinds)

@@ -18,8 +18,9 @@ def minimise_by_integrators(kind: type[Any]) -> None:
     """Let integrators of a class minimise the energy, by ``minimizeEnergy``, where OpenMM's minimiser cannot.
 
     OpenMM's minimiser would deform bodies named by hand, and the first step would use the deformed shape. With
-    redundant constraints it ends in NaN or kills the process, and it drags molecules together that the box has split.
-    Its method is replaced because ``Simulation.minimizeEnergy`` calls it before the integrator knows its Context.
+    redundant constraints it returns NaN or crashes, and it drags the parts of molecules that the box has split
+    together. The minimiser's method is replaced because ``Simulation.minimizeEnergy`` calls it before the integrator
+    knows its Context.
     """
 
     @functools.wraps(OPENMM)

@@ -1,4 +1,4 @@
-"""Synchronisation of the bodies with their Context: pulls a user's changes, and pushes the results of steps."""
+"""Synchronisation of the bodies with their Context: it pulls a user's changes, and pushes the results of steps."""
 
 from __future__ import annotations
 
@@ -32,10 +32,11 @@ _LOST = 1e-14
 
 
 class Positions:
-    """The only writer of the positions of bodies into a Context, which it does not keep alive, and their version.
+    """The positions of bodies in a Context, which only this object writes, and their version.
 
-    Every change of positions, box or parameters increases `version`, so that results of earlier versions are computed
-    again. Of the positions x (n_particles, 3) of all particles, those of the bodies are overwritten.
+    It does not keep the Context alive. Every change of positions, box or parameters increases `version`, so that
+    results of earlier versions are recomputed. In the positions x (n_particles, 3) of all particles, those of the
+    bodies are overwritten.
     """
 
     def __init__(self, context: Any, bodies: RigidBodies, x: Array) -> None:
@@ -71,7 +72,7 @@ class Positions:
         return self.bodies.positions(state.rounded, self.particles)
 
     def moved(self) -> None:
-        """Record that something else moved the particles of the Context."""
+        """Record that the particles of the Context were moved elsewhere."""
         self.version += 1
         self._written = -1
 
@@ -81,7 +82,7 @@ class Synchronisation:
 
     The object holds no strong reference to the Context and its integrator, which own it. The variables of the
     integrator carry the full state in checkpoints and States. A ValueError is raised if there are no positions, nothing
-    can move, bodies are not supported, or positions do not match them. `pairs` is an argument of `find_bodies`;
+    can move, or bodies are not supported or do not match the positions. `pairs` is an argument of `find_bodies`;
     `bodies` is its result, if known.
 
     Attributes
@@ -150,7 +151,7 @@ class Synchronisation:
     def pull(self) -> bool:
         """Update the state with changes to the Context since the last push; return whether it changed.
 
-        Positions that were not quite rigid, or split by the periodic box, are corrected in the Context too.
+        Positions that were not quite rigid, or split by the periodic box, are also corrected in the Context.
 
         Raises
         ------
@@ -190,14 +191,14 @@ class Synchronisation:
         return arrays.periodic_box(self.context)
 
     def compared(self, known: State, x: Array, v: Array) -> State:
-        """Return a known state, with bodies refitted whose particles are not at its positions."""
+        """Return a known state, refitting bodies whose particles are not at its positions."""
         bodies, rounded = self.bodies, known.rounded
         moved = _differs(bodies, x, bodies.positions(rounded, x.copy()), *self._same)
         pushed = _differs(bodies, v, bodies.velocities(rounded, v.copy()), *self._same)
         return self._refitted(known, x, v, moved, pushed)
 
     def _refitted(self, known: State, x: Array, v: Array, moved: Indices, pushed: Indices) -> State:
-        """Return a known state, with bodies refitted that were moved or whose velocities changed."""
+        """Return a known state, refitting bodies that were moved or whose velocities changed."""
         if not len(moved) and not len(pushed):
             return known
         return known.renewed(refit(self.bodies, known.rounded, x, v, moved, pushed))
@@ -288,7 +289,7 @@ class Synchronisation:
 
 
 def require_positions(context: openmm.Context) -> None:
-    """Raise ValueError if positions were never set: OpenMM checks when it is asked for forces, here of no group."""
+    """Raise ValueError if positions were never set: OpenMM checks this when forces are requested, here of no group."""
     try:
         context.getState(forces=True, groups=0)
     except openmm.OpenMMException as error:
@@ -328,7 +329,7 @@ def _watch(
     after: Callable[[], None] = _nothing,
     concerns: Callable[..., bool] = lambda *arguments, **options: True,
 ) -> None:
-    """Call a function at relevant calls of a method of the Context, for which OpenMM has no callback."""
+    """Call a function at relevant calls of a method of the Context, since OpenMM has no callbacks."""
     method = getattr(type(context), name)
     reference = weakref.ref(context)
 

@@ -83,7 +83,7 @@ class ContextUpdates:
 
     @property
     def act(self) -> bool:
-        """Whether there are such forces."""
+        """Whether there are barostats or thermostats."""
         return self.moves or self.pushes or self.removes_motion
 
     @property
@@ -97,25 +97,25 @@ class ContextUpdates:
 
     @property
     def period(self) -> int:
-        """Number of steps between two actions of barostats or thermostats; 0 is never."""
+        """Number of steps between two actions of barostats or thermostats; 0 for never."""
         return 1 if self.pushes else math.gcd(*(barostat.getFrequency() for barostat in self._barostats))
 
     @property
     def removal(self) -> int:
-        """Number of steps between two removals of motion; 0 is never."""
+        """Number of steps between two removals of motion; 0 for never."""
         return math.gcd(*self._removals)
 
     def remove_motion(self, mass: Array, state: State, number: int) -> State:
-        """Return the state after a given step, with its centre of mass at rest if that is due; masses are (N,)."""
+        """Return the state after a given step, with its centre of mass at rest if a removal is due; masses are (N,)."""
         if any(number % interval == 0 for interval in self._removals):
             velocity = state.P.sum(axis=(0, 2)) / mass.sum()
             return state._replace(P=self._advance(state.P, velocity[:, None] * mass, -1.0))
         return state
 
     def due(self) -> int:
-        """Count a step; return the number of OpenMM's updates that are due, in the last of which something acts.
+        """Count a step; return the number of OpenMM's updates that are due, of which the last one has an effect.
 
-        A barostat of frequency n acts in every n-th update: the others do nothing, and are deferred to it.
+        A barostat of frequency n acts in every n-th update: the other updates have no effect, and are deferred.
         """
         if not (self.moves or self.pushes):
             return 0
@@ -149,8 +149,8 @@ class ContextUpdates:
 def conserve_energy(system: openmm.System) -> bool:
     """Return whether the forces of a System are known to conserve its energy.
 
-    A PythonForce, except for ours, may depend on time or have no energy, and a plugin's force, a plain Force here, may
-    do work.
+    A PythonForce from elsewhere may depend on time or have no energy, and a plugin's force, which is a
+    plain Force in Python, may do work.
     """
     return not any(
         type(force) is openmm.Force or (isinstance(force, openmm.PythonForce) and force.getName() not in _OURS)
@@ -171,7 +171,7 @@ def warn_of_removed_motion(system: openmm.System) -> None:
 
 
 def acting_updates(context: openmm.Context) -> list[Any]:
-    """Return the thermostats and barostats of a Context; those added to its System later do nothing."""
+    """Return the thermostats and barostats of a Context; those added to its System later have no effect."""
     known = set(context.getParameters())
     names = (_THERMOSTAT, *BAROSTATS)
     found = [force for force in context.getSystem().getForces() if type(force).__name__ in names]
@@ -196,7 +196,7 @@ def _check_torn_bodies(context: openmm.Context, barostats: list[Any], named: Seq
 
 
 def _check_dipoles_of_one_box(context: openmm.Context, barostats: list[Any]) -> None:
-    """Raise ValueError for dipole forces by formulas, which may silently become wrong in a box that changes."""
+    """Raise ValueError for dipole forces defined by formulas, which may silently become wrong if the box changes."""
     for force in context.getSystem().getForces() if barostats else ():
         formula = isinstance(force, openmm.CustomHbondForce | openmm.CustomCompoundBondForce)
         if formula and force.getName() == _OURS[0] and force.usesPeriodicBoundaryConditions():

@@ -1,9 +1,9 @@
-"""Persistent variables, which checkpoints, States and XML of OpenMM contain, declared in one list.
+"""Persistent variables, which OpenMM's checkpoints, States and XML contain, declared in one list.
 
 Names and order are the format of checkpoints. All integrators of the package have the variables of all of its
-thermostats, so that a checkpoint or State of one kind can be read by another. Numbers of a single thermostat follow,
-and are a format of their own: a checkpoint of OpenMM is a row of numbers without names, which OpenMM reads into any
-variables. The first number therefore also marks the format.
+thermostats, so that a checkpoint or State of one kind can be read by another. The numbers of a single thermostat
+follow, and make the format a different one. A checkpoint of OpenMM is a row of numbers without names, which OpenMM
+reads into any variables, so the first number also identifies the format.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ def declare(integrator: openmm.CustomIntegrator, own: Sequence[str] = (), memory
     """Give a new integrator its variables, and the program with which OpenMM performs its own part of a step.
 
     A copy that OpenMM creates, from XML or within a CompoundIntegrator, has no Python part: its steps would advance the
-    clock while nothing moves. Positions and velocities therefore become nan unless a step comes from Python. `own`
-    names numbers of a thermostat that not all integrators have. A processed scheme also has an inner state, and a
+    clock without moving the bodies. Positions and velocities therefore become nan unless a step comes from Python.
+    `own` names numbers of a thermostat that not all integrators have. A processed scheme also has an inner state, and a
     `memory` of that many forces.
     """
     stored = _PREFIX + _STORED
@@ -77,12 +77,12 @@ def declare_numbers(integrator: openmm.CustomIntegrator, own: Sequence[str] = ()
 
 
 def written(own: Sequence[str]) -> float:
-    """Return the first number of an integrator with a state and numbers of its own: at least 1, below 2."""
+    """Return the first number of an integrator that has a state and its own numbers: at least 1, below 2."""
     return _WRITTEN + (1 + zlib.crc32(" ".join(own).encode())) / 2**33 if own else _WRITTEN
 
 
 def marks(own: Sequence[str] = ()) -> tuple[float, float]:
-    """Return the possible first numbers of an integrator with a state and numbers of its own."""
+    """Return the possible first numbers of an integrator that has a state and its own numbers."""
     return written(own), _STEPPING
 
 

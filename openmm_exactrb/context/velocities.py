@@ -1,9 +1,9 @@
-"""``Context.setVelocitiesToTemperature`` of a Context whose integrator is one of this package.
+"""``Context.setVelocitiesToTemperature`` for Contexts with an integrator of this package.
 
-OpenMM draws those of particles, and its solver of constraints makes them fit. The momenta of rigid bodies are then
-canonical, because no impulse along a constraint changes them. But with redundant constraints the solver does not
-converge, or leaves motions that bend a straight or flat body; it does not handle molecules that the box has split, nor
-bodies that a user named; and it sets the centre of mass in motion, which a CMMotionRemover stops.
+OpenMM draws the velocities of particles, and its constraint solver removes their components along the constraints. The
+momenta of rigid bodies are then canonical, because no impulse along a constraint changes them. But with redundant
+constraints the solver does not converge, or leaves motions that bend a straight or flat body; it supports neither
+molecules that the box has split nor bodies named by hand; and the centre of mass moves until a CMMotionRemover acts.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _LEFT = 1e-3
 
 
 def draw_by_integrators(kind: type[Any]) -> None:
-    """Let integrators of a class draw the velocities that OpenMM cannot, by their method of the same name.
+    """Let integrators of a class draw the velocities that OpenMM cannot, using their method of the same name.
 
     The method of all Contexts is replaced, because it may be called before the integrator knows its Context.
     """
@@ -49,7 +49,7 @@ def draw_by_integrators(kind: type[Any]) -> None:
 
 
 def _fit(context: Any, temperature: Any, *_: Any) -> bool:
-    """Return whether OpenMM's solver handles the constraints, and its velocities have no components along them."""
+    """Return whether OpenMM's solver supports the constraints, and its velocities have no components along them."""
     system, state = context.getSystem(), context.getState(positions=True, velocities=True)
     x, v, masses = arrays.positions(state), arrays.velocities(state), parameters.masses(system)
     if not np.isfinite(v).all() or not solvable(system, x):

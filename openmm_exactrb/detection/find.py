@@ -82,7 +82,7 @@ def find_bodies(
         kinds.append(replace(shape, bodies=slice(start, stop)))
         start = stop
     if not kinds:
-        raise ValueError("the System has no particle with mass: there is nothing to move")
+        raise ValueError("the System has no particle with mass, so there is nothing to move: set masses")
     return RigidBodies(kinds, len(masses), clusters)
 
 
@@ -134,7 +134,7 @@ def _named_bodies(system: openmm.System, masses: Array, bodies: Sequence[Sequenc
     owner = checks.owners(bodies, len(masses))
     for particle in map(int, np.flatnonzero((owner >= 0) & (masses == 0.0))):
         if not system.isVirtualSite(particle):
-            raise ValueError(f"particle {particle} of body {owner[particle]} has no mass: a rigid body needs masses")
+            raise ValueError(f"particle {particle} of body {owner[particle]} has no mass: set one, or omit it")
     named = []
     for number, body in enumerate(bodies):
         particles = np.array(sorted(body), dtype=np.intp)

@@ -24,7 +24,7 @@ _NEWTON, _AT_REST = 50, 1e-15
 
 
 def kinds_from_distances(particles: Indices, masses: Array, distances: Array, positions: Array) -> list[Kind]:
-    """Return the kind of bodies all of whose distances are known, or it and its mirror image."""
+    """Return the kind of bodies with known distances between all particles, or this kind and its mirror image."""
     kind = _kind(particles, masses, distances)
     if not kind.sites[0].any(axis=0).all():
         return [kind]
@@ -46,7 +46,7 @@ def on_constraints(particles: Indices, masses: Array, distances: Array, position
     """
     X = positions[particles]
     if not np.isfinite(X).all():
-        raise ValueError("positions are not finite: set them before the first step")
+        raise ValueError("positions are not finite: set finite ones before the first step")
     first, second = np.nonzero(np.triu(~np.isnan(distances), 1))
     if not len(first):  # named by hand: the shape is that of the positions
         return positions
@@ -78,7 +78,7 @@ def on_constraints(particles: Indices, masses: Array, distances: Array, position
 def kinds_from_positions(particles: Indices, masses: Array, positions: Array) -> list[Kind]:
     """Return the kinds of bodies with these masses and the shapes of their positions.
 
-    If all agree with the first within `RIGIDITY` they have its shape, otherwise each has its own.
+    If all bodies agree with the first within `RIGIDITY`, they share its shape; otherwise each has its own.
     """
     X = positions[particles]
     kind = _with_shape_of(particles[:1], masses, X[:1], positions)
@@ -111,7 +111,7 @@ def _joined(kinds: list[Kind]) -> Kind:
 def held_rigid(distances: Array, x: Array) -> bool:
     """Return whether constraints restrict a cluster at positions x (k, 3) to the motions of a rigid body.
 
-    Unconstrained distances in (k, k) are nan; in a body that the user named all are constrained.
+    Unconstrained distances in (k, k) are nan; in a body named by hand, all distances are constrained.
     """
     i, j = np.nonzero(np.triu(~np.isnan(distances), 1))
     every = len(i) == len(x) * (len(x) - 1) // 2
@@ -133,9 +133,10 @@ def held_rigid(distances: Array, x: Array) -> bool:
 def _kept_flat(distances: Array, places: Array) -> bool:
     """Return whether constraints keep a flat or straight body with given coordinates (k, 1 or 2) in that shape.
 
-    They do if a stress on them, which is in equilibrium at each particle, resists all motions out of the plane: a
-    positive definite matrix whose entries vanish for unconstrained distances. R. Connelly, Invent. Math. 66 (1982) 11.
-    The stress closest to that of all distances is tried, for bodies of at most `_LARGEST_FLAT` particles.
+    They do if there is a stress on the constraints, in equilibrium at each particle, that resists all motions out of
+    the plane: a positive definite matrix whose entries vanish for unconstrained distances. R. Connelly, Invent. Math.
+    66 (1982) 11. The stress closest to that of all distances is tested, for bodies of at most `_LARGEST_FLAT`
+    particles.
     """
     k = len(places)
     if k > _LARGEST_FLAT:
@@ -172,7 +173,7 @@ def _kind(particles: Indices, masses: Array, distances: Array) -> Kind:
     if residual > RESIDUAL * distances.max():
         raise ValueError(
             f"the constraints between particles {', '.join(map(str, particles[0]))} cannot be satisfied in three "
-            f"dimensions: a distance is off by {residual:.2g} nm"
+            f"dimensions, by {residual:.2g} nm: correct their lengths"
         )
     # The largest spread comes first: moments ascend, and a linear body lies on axis 1.
     return Kind(particles, slice(0), masses, sites[None], mass, (spread.sum() - spread)[None])

@@ -1,7 +1,7 @@
-"""Positions of a System with its molecules whole: joined along constraints and bonds, or to a known shape.
+"""Positions of a System in which molecules are whole: joined along constraints and bonds, or to a known shape.
 
-Bodies that a user named have the shape of their positions. If nothing joins their parts, positions are used unchanged;
-a ValueError is raised if there is evidence that the box has split them.
+The positions define the shape of bodies named by hand. If nothing joins their parts, positions are used unchanged; a
+ValueError is raised if there is evidence that the box has split them.
 """
 
 from __future__ import annotations
@@ -160,10 +160,10 @@ def _loose_whole(x: Array, masses: Array, bodies: list[Indices], numbers: list[i
 
 
 def _by_common_shape(X: Array, box: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return bodies (n, k, 3) of equal masses with split ones joined, and which of them others confirm.
+    """Return bodies (n, k, 3) of equal masses, with split bodies joined, and which of them are confirmed by others.
 
-    If images of the particles give all bodies a common shape, they have that shape. Otherwise those whose nearest
-    images have the shape of a whole body are joined.
+    If images of the particles give all bodies a common shape, the bodies are joined to this shape. Otherwise bodies
+    whose nearest images have the shape of a whole body are joined.
     """
     if len(X) == 1 or X.shape[1] == 1:
         return X, np.full(len(X), X.shape[1] == 1)
@@ -203,7 +203,7 @@ def _nearest(X: Array, box: Array) -> tuple[Array, NDArray[np.bool_]]:
 
 
 def _common_images(X: Array, box: Array) -> Array:
-    """Return the first body (k, 3), with distances from its first particle that images in other bodies have too."""
+    """Return the first body (k, 3), with distances from its first particle that images in other bodies share."""
     shape, offered = np.array(X[0]), lattice(2) @ box
     for place in range(1, len(shape)):
         gaps = (X[:_COMPARED, place] - X[:_COMPARED, 0])[:, None] + offered
@@ -240,7 +240,7 @@ def _congruent(shape: Array, X: Array, within: float = RIGIDITY) -> NDArray[np.b
 
 
 def _say(number: int, X: Array, box: Array, split: bool) -> None:
-    """Raise ValueError, or warn, of a body (k, 3) that the periodic box may have split."""
+    """Raise a ValueError for, or warn of, a body (k, 3) that the periodic box may have split."""
     (near,), (torn,) = _nearest(X[None], box)
     clear, in_cell = _CLEAR * half_width(box), _in_cell(X, box)
     if not torn and not (split and in_cell and np.linalg.norm(np.ptp(X, axis=0)) > clear):

@@ -11,5 +11,5 @@ ENGINES: dict[str, Engine] = {engine.name: engine for engine in (HOST, DEVICE)}
 
 
 def in_order() -> list[Engine]:
-    """Return the engines in the order in which they are tried; the host, which supports everything, is the last."""
+    """Return the engines in the order in which they are tried; the host, which supports all settings, is the last."""
     return sorted(ENGINES.values(), key=lambda engine: engine is HOST)

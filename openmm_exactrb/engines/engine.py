@@ -46,7 +46,7 @@ class Settings:
     named : list of lists of int, or None
         Bodies in addition to those defined by constraints.
     check : bool
-        Whether a jump of the total energy is an error.
+        Whether a jump of the total energy raises an error.
     """
 
     scheme: Scheme
@@ -77,7 +77,7 @@ class Propagator(Protocol):
 
     @property
     def sync(self) -> Synchronisation:
-        """The state of the bodies; when it is outdated, so is the propagator."""
+        """The state of the bodies; if it is outdated, the propagator is as well."""
 
     @property
     def updates(self) -> ContextUpdates:
@@ -87,13 +87,13 @@ class Propagator(Protocol):
     def last_exchange(self) -> tuple[State, State] | None:
         """The states before and after the last heat exchange, if the present state is the end of its step.
 
-        A ValueError is raised if the engine does not keep them.
+        A ValueError is raised if the engine does not store these states.
         """
 
     def energy_at_exchange(self, version: object, settings: Callable[[], Settings]) -> float:
         """Return the total energy (kJ/mol) at the last heat exchange; the arguments are those of `advance`.
 
-        A ValueError (`NO_BALANCE`) is raised if the engine does not add up the heat of its thermostat.
+        A ValueError (`NO_BALANCE`) is raised if the engine does not record the heat of its thermostat.
         """
 
     def advance(self, version: object, settings: Callable[[], Settings], key: int, n: int) -> None:

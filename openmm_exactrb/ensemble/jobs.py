@@ -1,4 +1,4 @@
-"""Jobs: a function and its arguments, with a key that is the same in every process; and their results."""
+"""Jobs, each a function and its arguments with a key that is the same in every process, and their results."""
 
 from __future__ import annotations
 

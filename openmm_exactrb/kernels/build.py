@@ -100,7 +100,7 @@ class _Announcer(event.Listener):  # type: ignore[misc]
         ours = event.data["dispatcher"].py_func.__module__.startswith("openmm_exactrb.")
         if ours and not self.told:
             self.told = True
-            _log.warning("compiling kernels: a few seconds, once; the next process finds them in the cache")
+            _log.warning("compiling kernels, which takes a few seconds; later processes load them from the cache")
 
     def on_end(self, event: Any) -> None:
         pass

@@ -35,7 +35,7 @@ class Kind:
     inertia: Array  #: ascending moments (1, 3) or (n, 3): the first is 0 on a line, all are in a point
 
     def only(self, chosen: NDArray[np.bool_]) -> Kind:
-        """Return some of the bodies (n,), numbered as before."""
+        """Return some of the bodies (n,), with unchanged numbers."""
         sites, inertia = (a if len(a) == 1 else a[chosen] for a in (self.sites, self.inertia))
         return replace(self, particles=self.particles[chosen], sites=sites, inertia=inertia)
 
@@ -57,9 +57,9 @@ class Kind:
 
 
 class RigidBodies:
-    """The N rigid bodies of a System of `n_particles`, and its particles that belong to none.
+    """The N rigid bodies of a System of `n_particles`, including the particles that belong to no rigid body.
 
-    The kinds of clusters of single particles, which constraints hold, are the first behind those that turn.
+    The kinds of the atoms of constrained clusters follow the kinds that turn.
     """
 
     def __init__(self, kinds: Sequence[Kind], n_particles: int, clusters: Clusters | None = None) -> None:
@@ -176,7 +176,7 @@ class RigidBodies:
     def kinetic_energies(self, state: BodyState, velocity: Array | None = None) -> tuple[float, float]:
         """Return the translational and rotational kinetic energies in kJ/mol, of momenta along the constraints.
 
-        With a velocity (3,) in nm/ps, energies are those of the relative motion.
+        With a velocity (3,) in nm/ps, energies are those of the motion relative to it.
         """
         P = self.tangent(state).P
         if velocity is not None:
@@ -198,7 +198,7 @@ class RigidBodies:
         for kind in self.kinds:
             if kind.bodies.start <= body < kind.bodies.stop:
                 return f"body {body} (particles {', '.join(map(str, kind.particles[body - kind.bodies.start]))})"
-        raise IndexError(f"there is no body {body}: their numbers are 0 to {len(self) - 1}")
+        raise IndexError(f"there is no body {body}: bodies have the numbers 0 to {len(self) - 1}")
 
 
 class Part:

@@ -135,8 +135,8 @@ class ClusterKind:
     def check_kept(self) -> None:
         """Raise ValueError if a member is massless, a length is not positive, or there are too many constraints.
 
-        It is also raised if a constraint follows from the others at generic positions, which three random
-        configurations show.
+        It is also raised if a constraint follows from the others at generic positions, as tested for three random
+        configurations.
         """
         bad = ~((self.masses > 0.0) & np.isfinite(self.masses))
         if bad.any():
@@ -173,8 +173,9 @@ class ClusterKind:
             i, j = self.particles[worst, self.graph.pairs[constraint[worst]]]
             raise ValueError(
                 f"{self.name(worst).capitalize()} is in a singular configuration, where the constraint of particles "
-                f"{i} and {j} follows from the others, as for three particles of a triangle on a line: move them, or "
-                "remove it; a flat or straight part must be rigid as a whole, by all its distances or by bodies="
+                f"{i} and {j} follows from the others, as in a triangle whose particles are on a line: move them, or "
+                "remove this constraint; a flat or straight part must be rigid as a whole: constrain all its "
+                "distances, or name it in bodies="
             )
 
 
@@ -229,8 +230,8 @@ class Clusters:
     def drift(self, state: ClusterState, tau: float) -> ClusterState:
         """Return the state after free motion for a time, of any sign.
 
-        Momenta are projected first, as by `tangent`. A cluster with a number that is not finite becomes nan; other
-        clusters are not affected.
+        Momenta are projected first, as by `tangent`. A cluster with a non-finite number becomes nan; other clusters are
+        not affected.
         """
         return self._advanced(state, tau, True)
 
@@ -252,7 +253,7 @@ def _anywhere(n: int) -> Array:
 
 
 def sorted_into_kinds(groups: Iterable[ClusterKind]) -> Clusters:
-    """Return clusters sorted into kinds, by their first particles: equal stars are one, whatever their order.
+    """Return clusters sorted into kinds, by their first particles: equal stars form one kind, whatever their order.
 
     A ValueError is raised if constraints cannot be satisfied: see `ClusterKind.check_kept`.
     """

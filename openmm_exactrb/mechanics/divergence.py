@@ -44,7 +44,8 @@ class DivergenceCheck:
     """Checks the states of a run for non-finite numbers and for a rise of the total energy.
 
     potential(state) -> kJ/mol is evaluated only if momenta have grown strongly; box() -> the vectors (3, 3) of the
-    periodic box in nm, or None. Energies are compared if forces are known to conserve them, and the user wants it.
+    periodic box in nm, or None. Energies are compared if forces are known to conserve them and the user has not
+    disabled the comparison.
     """
 
     def __init__(
@@ -97,7 +98,7 @@ class DivergenceCheck:
             raise NonFiniteError(self._message(f"not finite or faster than light: {names}{more}"))
 
     def of_inner_steps(self, bodies: RigidBodies) -> Callable[[State], None]:
-        """Return a check of inner steps on selected bodies, of which a far too long outer step has thousands."""
+        """Return a check of inner steps on selected bodies; a far too long outer step has thousands of them."""
         half_mass, half_inertia = 0.5 / bodies.mass, 0.5 / bodies.inertia.T
 
         def check(state: State) -> None:
@@ -140,7 +141,7 @@ class DivergenceCheck:
 
 
 def gained(n_bodies: int, then: tuple[float, float], now: tuple[float, float]) -> str | None:
-    """Return a description of the jump between two pairs of kinetic and total energy (kJ/mol), or None."""
+    """Return a description of a jump between two pairs of kinetic and total energy (kJ/mol), or None."""
     (kinetic_then, energy_then), (kinetic, energy) = then, now
     gain = energy - energy_then
     noise = _ROUNDED * (abs(energy) + abs(energy_then)) + _NOTHING * n_bodies

@@ -34,10 +34,10 @@ class ShapeWarning(UserWarning):
 def fit(bodies: RigidBodies, x: Array, v: Array) -> BodyState:
     """Find the state of bodies from positions (nm) and velocities (nm/ps) of all particles (n_particles, 3).
 
-    ValueError if numbers are not finite, positions are further than `REFUSED` from a rigid body, or a constraint of a
-    cluster follows from others there, or cannot be reached from there. ShapeWarning if they are further than `RIGIDITY`
-    from one; the best fit keeps centre and orientation. Constraints of clusters that are no rigid bodies may be missed
-    by as much; their atoms are moved along the constraints.
+    A ValueError is raised if numbers are not finite, positions deviate by more than `REFUSED` from a rigid body, or a
+    constraint of a cluster follows from the others at these positions or cannot be satisfied from them. A ShapeWarning
+    is issued if positions deviate by more than `RIGIDITY`; the best fit keeps centre and orientation. Constraints of
+    nonrigid clusters may deviate by as much; their atoms are moved along the constraints.
     """
     every = np.arange(len(bodies))
     nowhere = np.zeros((3, len(bodies)))
@@ -173,7 +173,7 @@ def _missed_by(left_out: int | None, weights: Array, sites: Array, x: Array) -> 
 
 
 def _clusters_of(bodies: RigidBodies, chosen: Indices) -> Iterator[tuple[ClusterKind, Indices, NDArray[np.bool_]]]:
-    """Yield the kinds of clusters, the bodies (N, n) of their atoms, and a mask (N,) of clusters with a chosen atom."""
+    """Yield the kinds of clusters, the bodies (N, n) of their atoms, and a mask (N,) of clusters with chosen atoms."""
     for kind, columns in bodies.clusters.columns():
         atoms = columns + bodies.clustered.start
         yield kind, atoms, np.asarray(np.isin(atoms, chosen).any(axis=1))

@@ -1,7 +1,7 @@
-"""The reunion of molecules that a periodic box has split, and the closest bodies.
+"""Joining of molecules that a periodic box has split, and the closest bodies.
 
-Each link between two particles independently determines the number of box vectors between them: that of the image at
-which it has its length. Particles are then joined along a tree of links.
+Each link between two particles independently determines the number of box vectors between them, so that the link has
+its length. Particles are then joined along a tree of links.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _MOST_WAYS = 4096
 
 @dataclass(frozen=True)
 class Decided:
-    """By how many vectors of the box the second ends of links are to be shifted against the first."""
+    """Numbers of box vectors by which the second ends of links are to be shifted relative to the first."""
 
     shifts: Array  #: (m, 3)
     doubtful: NDArray[np.bool_]  #: where no image has the length, and what is given does not either (m,)
@@ -38,7 +38,7 @@ class Decided:
 
 
 def decided(x: Array, links: Links, box: Array) -> Decided:
-    """Return the images of links: the given vector if it has the length, otherwise the image that has it best."""
+    """Return the images of links: the given vector if its length is right, otherwise the image with the best length."""
     gap, inverse, half = x[links.pairs[:, 1]] - x[links.pairs[:, 0]], np.linalg.inv(box), half_width(box)
     found = Decided(np.zeros(gap.shape), *(np.zeros(len(gap), dtype=bool) for _ in range(2)))
     given, wanted = np.linalg.norm(gap, axis=1), np.nan_to_num(links.lengths)
@@ -74,7 +74,7 @@ def lattice(reach: int) -> Array:
 
 
 def joined(x: Array, links: Links, box: Array, found: Decided | None = None) -> Array:
-    """Return positions (n_particles, 3) with linked particles in one image of a box; the same array if they are.
+    """Return positions (n_particles, 3) with linked particles in one image of a box; the same array if none changes.
 
     The first particle is not moved. A ValueError is raised if two images fit equally well.
     """
@@ -94,7 +94,7 @@ def joined(x: Array, links: Links, box: Array, found: Decided | None = None) -> 
 
 
 def _best_way(x: Array, links: Links, box: Array, names: Indices) -> Array:
-    """Return the shifts (k, 3) of a group of particles with the best lengths of all of its links."""
+    """Return the shifts (k, 3) of a group of particles that give its links the best lengths."""
 
     def missed(total: Array) -> float:
         gap = np.diff((x + total @ box)[links.pairs], axis=1)[:, 0]
@@ -132,7 +132,7 @@ class Shapes:
         self._bodies = bodies
 
     def whole(self, x: Array, box: Array) -> Array:
-        """Return positions (n_particles, 3) with each body and cluster in one image; the same array if they are."""
+        """Return positions (n_particles, 3) with each body and cluster in one image; the same array if none changes."""
         long = self._short.lengths.max(initial=0.0) >= half_width(box) - _NEAR
         return joined(x, self._braced if long else self._short, box)
 

@@ -14,8 +14,8 @@ from openmm_exactrb.support.types import Array, Indices
 class Links:
     """Pairs (m, 2) of particles that a constraint, a bond or a known shape holds at a distance.
 
-    Of pairs that are named twice, the first counts. Lengths (m,) are in nm, nan where one is not known. The tree
-    prefers short links, and takes the `last` ones (m,) only where no others lead.
+    If a pair occurs twice, the first one counts. Lengths (m,) are in nm, or nan if unknown. The tree prefers short
+    links, and uses the `last` ones (m,) only where there are no others.
     """
 
     def __init__(self, pairs: Indices, lengths: Array, n_particles: int, last: NDArray[np.bool_] | None = None) -> None:

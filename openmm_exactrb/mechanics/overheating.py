@@ -1,4 +1,4 @@
-"""Heat that a thermostat does not remove: the step is too long, but the run does not diverge."""
+"""Overheating: the thermostat does not remove the heat of a step that is too long, but the run does not diverge."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ class StepSizeWarning(UserWarning):
 
 
 class Overheating:
-    """Watches the temperatures of a run with a thermostat, and warns once.
+    """Monitors the temperatures of a run with a thermostat, and warns once.
 
-    Translation and rotation of rigid bodies, and all other particles, are watched individually: a solute may be hot
-    in water that is not. kT (kJ/mol) is that of the thermostat, relaxation (ps) the time in which it takes heat away.
+    Translation and rotation of rigid bodies, and all other particles, are monitored separately, because a solute may be
+    hotter than its water. kT (kJ/mol) is that of the thermostat, and relaxation (ps) the time in which it removes heat.
     """
 
     def __init__(self, bodies: RigidBodies, kT: float, relaxation: float) -> None:

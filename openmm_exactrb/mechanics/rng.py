@@ -9,11 +9,12 @@ of 64 bits, the lowest first, the layout is::
 
 The words of seed and step are those of signed numbers. A block of the counter is four words; the block of body n in an
 array (..., N) has the lowest word n + 1, and the second word counts further blocks if the array has more than four
-rows. Hence no draw depends on how many others preceded it, on where a run was interrupted, or on which engine makes the
-step: kernels/random.cl of the device engine has the same numbers. The stream is the number of the substep in the step,
-times `PURPOSES`, plus the purpose.
+rows. Hence no draw depends on how many others preceded it, on where a run was interrupted, or on which engine performs
+the step: kernels/random.cl of the device engine generates the same numbers. The stream is the number of the substep in
+the step, times `PURPOSES`, plus the purpose.
 
-Normals are those of G. E. P. Box and M. E. Muller (1958), doi:10.1214/aoms/1177706645, of neighbouring words.
+Normals are computed from neighbouring words by the method of G. E. P. Box and M. E. Muller (1958),
+doi:10.1214/aoms/1177706645.
 """
 
 from __future__ import annotations
@@ -67,7 +68,7 @@ class Instant(NamedTuple):
     def gamma(self, purpose: Purpose, shape: float) -> float:
         """Return one gamma variate for a purpose, independent of its first four normals of a body.
 
-        G. Marsaglia and W. W. Tsang (2000), doi:10.1145/358407.358414. Attempts are the bodies of the second block.
+        G. Marsaglia and W. W. Tsang (2000), doi:10.1145/358407.358414. The bodies of the second block are the attempts.
         """
         if shape <= 0.0:
             return 0.0

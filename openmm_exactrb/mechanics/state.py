@@ -22,7 +22,7 @@ Remembered = tuple[list[Force], list[Force]]
 
 
 class BodyState(NamedTuple):
-    """Positions and momenta of N bodies, the first K of which turn."""
+    """Positions and momenta of N bodies, the first K of which rotate."""
 
     R: Array  #: centres of mass in nm (3, N)
     P: Array  #: linear momenta in amu nm/ps (3, N)
@@ -56,7 +56,7 @@ class State(NamedTuple):
         return BodyState(self.R[0], self.P[0], self.q[0], self.m[0])
 
     def renewed(self, rounded: BodyState) -> State:
-        """Return the state with new high parts; unchanged numbers keep their low parts, unchanged arrays are reused."""
+        """Return the state with new high parts; unchanged numbers keep their low parts, and unchanged arrays remain."""
         pairs = zip(self, rounded, strict=True)
         return State(*(x if np.array_equal(x[0], high) else renewed(x, high) for x, high in pairs))
 

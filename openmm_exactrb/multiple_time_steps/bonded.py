@@ -50,12 +50,12 @@ def separate_bonded(system: openmm.System) -> int:
     Parameters
     ----------
     system : openmm.System
-        The System, which is changed: its bonded forces are moved to the first group that contains no other force.
+        The System, which is modified: its bonded forces are moved to the first group that contains no other force.
 
     Returns
     -------
     int
-        That group.
+        The number of this group.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def separate_bonded(system: openmm.System) -> int:
 
 
 class Bonded(NamedTuple):
-    """Bonds, angles or torsions with the form and the group of a force, whose own terms may differ.
+    """Bonds, angles or torsions with the form and the group of a force, which may have other terms.
 
     Attributes
     ----------

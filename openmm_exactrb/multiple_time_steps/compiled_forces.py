@@ -1,4 +1,4 @@
-"""The usual bonded forces of an excerpt without OpenMM, whose calls take longer than these few terms."""
+"""The usual bonded forces of an excerpt, computed without OpenMM, whose calls take longer than these few terms."""
 
 from __future__ import annotations
 

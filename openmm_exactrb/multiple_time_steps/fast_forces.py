@@ -99,7 +99,7 @@ def _groups(fast: Any) -> tuple[int, ...]:
     if not groups or not groups <= set(range(32)):
         raise ValueError(
             f'fast must be "auto", None, "bonded" or force groups such as (1, 2), not {reprlib.repr(fast)}: '
-            "force.getForceGroup() returns that of a force"
+            "force.getForceGroup() returns the group of a force"
         )
     return tuple(sorted(groups))
 
@@ -146,9 +146,9 @@ class FastForces:
     def acts(self, outer: Scheme, h: float) -> bool:
         """Return whether there are inner steps in steps of h (ps).
 
-        There are inner steps if they were requested, or if the outer scheme evaluates forces too rarely and has only
-        substeps of this package. A ValueError is raised if a kick applies a fast force group, or one that may contain
-        bonded forces if these are fast.
+        There are inner steps if they were requested, or if the outer scheme evaluates forces too rarely for bonded
+        forces and has only substeps of this package. A ValueError is raised if a kick applies a fast force group, or
+        one that may contain bonded forces if these are fast.
         """
         groups = sorted({s.group for s, _ in outer.sequence if isinstance(s, Kick) and s.group is not None})
         if self.settings.fast == BONDED and groups:
@@ -223,7 +223,7 @@ def _of_groups(system: openmm.System, settings: MultipleTimeSteps) -> FastForces
         )
         return None
     if present <= set(groups):
-        raise ValueError("fast names all forces of the System: there is nothing left for longer steps")
+        raise ValueError("fast names all forces of the System and leaves no force for longer steps: name fewer groups")
     frequency = fastest(system, groups)
     if not frequency and settings.steps is None:
         warn(f"{_NO_INNER_STEPS}{_NO_PERIOD}")

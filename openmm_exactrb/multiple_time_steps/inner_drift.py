@@ -34,7 +34,7 @@ _COUNTER = "fast_evaluations"
 
 
 class InnerDrift:
-    """Drifts of the bodies of a Context with fast forces in them, and the resonances of what these move."""
+    """Drifts of the bodies of a Context that include fast forces, and the resonances of the fast motions."""
 
     def __init__(self, fast: FastForces, sync: Synchronisation, rotor: Rotor, timings: Timings) -> None:
         self.fast, self._bodies, self._timings = fast, sync.bodies, timings

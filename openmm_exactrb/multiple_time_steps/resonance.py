@@ -33,7 +33,7 @@ _HARMONICS = 6
 
 
 class Resonance(NamedTuple):
-    """The least step (ps) at which slow forces drive a mode, its period (ps), and particles of the bond or angle."""
+    """The shortest step (ps) at which slow forces drive a mode, its period (ps), and particles of the bond or angle."""
 
     step: float
     period: float
@@ -82,8 +82,8 @@ class Resonances:
         """Return the resonance with the shortest step of a scheme; None if there is no relevant one.
 
         A slow spring s in the kicks raises the square of the frequency w by s/m, and the mode is driven within the
-        growth rate of k pi/h on either side. Both are proportional to s/m, so that a bond softer than the slow forces
-        is not relevant before these are.
+        growth rate of k pi/h on either side. Both are proportional to s/m, so a bond that is softer than the slow
+        forces is irrelevant.
         """
         rates, found = np.array([growth(scheme, k) for k in range(1, _HARMONICS + 1)]), []
         for frequency, particles in self._modes:

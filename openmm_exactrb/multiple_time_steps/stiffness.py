@@ -27,8 +27,8 @@ def frequencies(
 ) -> Iterator[tuple[Array, Indices]]:
     """Estimate the frequencies of harmonic bonds and angles, and bonds of formulas, in given force groups, or all.
 
-    Each bond and angle is treated individually; constrained ones are ignored. A bond of a formula is included if it has
-    a minimum at the length of a chemical bond. `forces` are by default those of the System.
+    Each bond and angle is treated individually; constrained ones are ignored. A bond defined by a formula is included
+    if it has a minimum at the length of a chemical bond. `forces` are those of the System by default.
 
     Yields
     ------

@@ -18,7 +18,7 @@ Named = Sequence[Sequence[int]] | None
 def molecule_of(context: Any, named: Named) -> Indices:
     """Return the index of the molecule of each particle, (n_particles,); bodies named by hand join molecules.
 
-    Molecules are those of ``Context.getMolecules``: particles that bonds of any force or constraints connect.
+    Molecules are those of ``Context.getMolecules``: particles connected by constraints or bonds of any force.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components

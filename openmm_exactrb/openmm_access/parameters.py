@@ -1,7 +1,7 @@
 """The parameters of a System and its forces as arrays, by OpenMM's C interface.
 
-A call from Python takes some microseconds for each bond, of which a membrane has a million. What has parameters of its
-own names, a custom force, has those of a term in their order.
+A call from Python takes some microseconds for each bond, and a membrane has a million bonds. The parameters of a custom
+force, which have their own names, are in the order of these names.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def _places(row: NDArray[Any]) -> tuple[int, ...]:
 
 
 def _targets(*addresses: int) -> tuple[int, tuple[int, ...]]:
-    """Return how many there are, and as many as any function has, for which loops are compiled."""
+    """Return the number of target addresses, and the addresses padded to the number for which loops are compiled."""
     return len(addresses), addresses + (0,) * (_MOST - len(addresses))
 
 
@@ -103,7 +103,7 @@ def _loops() -> Any:
 
 @cache
 def _library() -> Any:
-    """Return the library of OpenMM, whose functions are found by way of Python's module where it is linked to it."""
+    """Return OpenMM's library, whose functions are found through the Python module that is linked to it."""
     return ctypes.CDLL("OpenMM.dll" if sys.platform == "win32" else openmm._openmm.__file__)  # noqa: SLF001
 
 

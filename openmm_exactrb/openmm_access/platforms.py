@@ -23,7 +23,7 @@ def platforms() -> list[openmm.Platform]:
 
 
 def platform_of(name: str | openmm.Platform | None = None) -> openmm.Platform:
-    """Return the platform with a name, by default that of OPENMM_DEFAULT_PLATFORM, or the fastest.
+    """Return the platform with a given name, by default that of OPENMM_DEFAULT_PLATFORM, or the fastest.
 
     The fastest is chosen from platforms that `why_not_by_default` does not exclude.
 
@@ -46,7 +46,7 @@ def platform_of(name: str | openmm.Platform | None = None) -> openmm.Platform:
 
 @cache
 def why_not_by_default(name: str) -> str | None:
-    """Return why the platform of a name is taken only where the user names it, or None."""
+    """Return why a platform is used only if the user names it, or None."""
     if name != "OpenCL":
         return None
     system = openmm.System()

@@ -16,8 +16,8 @@ def rebind(context: Any, integrator: openmm.CustomIntegrator, program: openmm.Cu
     """Replace the program of an integrator in its Context.
 
     OpenMM's objects are replaced, as by ``reinitialize``; the Python objects stay, and so do all references to them.
-    The state of the Context is kept, and the value of every global variable that both programs have. The integrator
-    that provided the new program has no Context, and cannot be used afterwards.
+    The state of the Context is preserved, and so is the value of every global variable that both programs have. The
+    integrator that provided the new program has no Context, and cannot be used afterwards.
     """
     for name in _SETTINGS:
         getattr(program, f"set{name}")(getattr(integrator, f"get{name}")())

@@ -13,7 +13,7 @@ FORCE = unit.kilojoule_per_mole / unit.nanometer
 
 
 def plain(value: Any, in_unit: unit.Unit, what: str) -> float:
-    """Return a finite number in a unit; a plain number is assumed to be in it.
+    """Return a value as a finite number in a unit; a plain number is assumed to be in this unit.
 
     Raises
     ------

@@ -272,7 +272,7 @@ class SoftDipoles:
         """Return the truncation in the form that the kernel uses."""
         assert self.truncation is not None
         if box is None or np.count_nonzero(box) != 3:
-            raise ValueError("soft dipoles need a rectangular box")
+            raise ValueError("soft dipoles need a rectangular box: set orthogonal box vectors")
         cutoff, switch, reaction = self.truncation
         end, begin, shifted = self.spheres or (cutoff, switch, False)
         a, b, c = map(float, box.diagonal())

@@ -43,10 +43,10 @@ class EwaldParameters(NamedTuple):
 def direct(n: int, edges: Edges, cutoff: float, switch: float, tolerance: float) -> EwaldParameters:
     """Return the parameters of the sum over all waves; ValueError if it needs more than `MOST_WAVES`.
 
-    The truncation error of either sum is exp(-x²), x = alpha switch or y = k_max/(2 alpha), times powers of x or y and
-    of a, alpha times the distance between dipoles, as sums over random dipoles have them. Their factors are the largest
-    that were measured in liquids and gases of 8 to 256 dipoles. The tolerance is relative to the root mean square of
-    forces and fields.
+    The truncation errors of the two sums are exp(-x²) with x = alpha switch, and exp(-y²) with y = k_max/(2 alpha),
+    times powers of x or y and of a, alpha times the distance between dipoles, as for random dipoles. The factors are
+    the largest that were measured in liquids and gases of 8 to 256 dipoles. The tolerance is relative to the root mean
+    square of forces and fields.
     """
     begin = max(switch, 1e-3 * cutoff)  # an error below, and not a division by zero
     x = y = 3.0

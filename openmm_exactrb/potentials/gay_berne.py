@@ -63,7 +63,7 @@ class GayBerne:
             If the box is not rectangular or too small for the cutoff.
         """
         if np.count_nonzero(box) != 3:
-            raise ValueError("ellipsoids need a rectangular box")
+            raise ValueError("ellipsoids need a rectangular box: set orthogonal box vectors")
         edges = box.diagonal().copy()
         check_cutoff(self.law[5], edges.tolist())
         forces, energy = np.empty_like(positions), np.empty(1)

@@ -83,7 +83,7 @@ def dipole_rod_forces(
     spheres = spheres_of(edges, sigma, attraction, sphere_cutoff, sphere_switch, shifted=shifted, wca=wca)
     assert spheres is not None
     if len(centres) != len(rods):
-        raise ValueError(f"each rod needs its centre: {len(rods)} rods have {len(centres)} centres")
+        raise ValueError(f"centres must have one entry for each of the {len(rods)} rods, not {len(centres)}")
     if not cutoff + length < 0.5 * min(edges):
         raise ValueError(
             f"cutoff + length, {cutoff + length:g} nm, must be below half the box, {0.5 * min(edges):g} nm: use a "

@@ -64,7 +64,7 @@ def free_rotor(
             f"inertia {inertia.shape}, q0 {q.shape}, m0 {m.shape} and t {t.shape} do not agree on the number of bodies"
         ) from None
     if len(shape) > 1:
-        raise ValueError(f"bodies must be listed along one axis, not along {len(shape)}")
+        raise ValueError(f"the arguments must list bodies along one axis, not along {len(shape)}")
     n = int(np.prod(shape))
     flow = rotor(method, inertia)
     attitudes = _normalised(_columns(q, n, 4))

@@ -1,7 +1,7 @@
 """Flows of the free rigid body by name.
 
-A flow consists of a file with a function ``rotor(inertia) -> flow`` and an entry in `ROTORS`, or of a `Rotor` that is
-passed to an integrator.
+To add a flow, write a file with a function ``rotor(inertia) -> flow`` and an entry in `ROTORS`, or pass a `Rotor` to an
+integrator.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ COMPILED = (ROTORS["exact"], ROTORS["exact_compiled"])
 
 
 def look_up(rotor: str | Rotor) -> Rotor:
-    """Return the rotor of a name; a `Rotor` is passed through. ValueError if the name is unknown."""
+    """Return the rotor with a name, or a `Rotor` unchanged; raise ValueError if the name is unknown."""
     if isinstance(rotor, Rotor):
         return rotor
     if not isinstance(rotor, str) or rotor not in ROTORS:
@@ -110,9 +110,9 @@ def look_up(rotor: str | Rotor) -> Rotor:
 def rotor(method: str | Rotor, inertia: ArrayLike) -> Flow:
     """Prepare the flow of free bodies with principal moments (3,) of all or (N, 3), by a key of `ROTORS` or a `Rotor`.
 
-    ValueError if there is no such rotor, or moments are not real, positive and finite numbers of this shape, are below
-    ``SMALLEST_MOMENT`` or above ``LARGEST_MOMENT``, or have a ratio above ``WIDEST``. I1 + I2 >= I3, which the moments
-    of all mass distributions satisfy, is not required, because the equations do not need it.
+    A ValueError is raised if there is no such rotor, or moments are not real, positive and finite numbers of this
+    shape, are below ``SMALLEST_MOMENT`` or above ``LARGEST_MOMENT``, or have a ratio above ``WIDEST``. I1 + I2 >= I3,
+    which the moments of all mass distributions satisfy, is not required, because the equations do not need it.
     """
     entry, columns = look_up(method), _columns(inertia)
     return fitting(columns, entry.factory(columns), entry.sums)

@@ -26,7 +26,7 @@ def only_process(folder: Path) -> Iterator[None]:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise BlockingIOError(
-                f"another process is running in {folder}: wait for its end, or use another folder"
+                f"another process is running in {folder}: wait until it ends, or use another folder"
             ) from None
         except OSError:
             pass  # some network file systems have no locks

@@ -1,6 +1,6 @@
 """Corrections to OpenMM's trajectory reporters: the step of the first frame, and frames that a full disk lost.
 
-Both need private members of these reporters.
+Both corrections need private members of these reporters.
 """
 
 from __future__ import annotations

@@ -319,7 +319,8 @@ def scheme_for_thermostat(name: str | Scheme) -> Scheme:
 def splitting(name: str | Scheme) -> Scheme:
     """Look up a splitting for use with a thermostat: one of the catalogue, or one that contains a thermostat.
 
-    ValueError if the name is unknown, or the scheme is processed: a thermostat acts on the true state, at every step.
+    A ValueError is raised if the name is unknown, or the scheme is processed: a thermostat acts on the true state at
+    every step.
     """
     found = scheme_for_thermostat(name)
     if found.processor:

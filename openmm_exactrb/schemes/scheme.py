@@ -64,7 +64,7 @@ class Scheme:
 
     def __post_init__(self) -> None:
         if not self.sequence:
-            raise ValueError(f"scheme {self.name}: the sequence of a step is empty")
+            raise ValueError(f"scheme {self.name}: the sequence of a step must have at least one substep")
         for row in (*self.sequence, *self.processor, *self.output):
             if not (isinstance(row, tuple) and len(row) == 2 and isinstance(row[0], Substep)):
                 raise ValueError(
@@ -234,10 +234,10 @@ def palindrome(name: str, table: str, free: Sequence[float], length: int) -> tup
     needed = (length - 1) // 2
     if len(free) != needed:
         raise ValueError(
-            f"scheme {name}: {length} coefficients {table} leave {needed} free, but {len(free)} were given"
+            f"scheme {name}: {table} must have {needed} free coefficients ({length} in all), not {len(free)}"
         )
     if not all(math.isfinite(c) for c in free):
-        raise ValueError(f"scheme {name}: a coefficient {table} is not finite")
+        raise ValueError(f"scheme {name}: coefficients {table} must be finite")
     if length % 2:
         return (*free, math.fsum([1.0, *(-2.0 * c for c in free)]), *reversed(free))
     half = (*free, math.fsum([0.5, *(-c for c in free)]))

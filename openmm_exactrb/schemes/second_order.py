@@ -1,4 +1,4 @@
-"""The step-size error of averages in second order, as coefficients of a splitting with a heat exchange.
+"""The second-order step-size error of averages, as coefficients of a splitting with a heat exchange.
 
 Next to its heat exchange, a symmetric splitting of steps h conserves
 
@@ -37,8 +37,8 @@ def second_order(scheme: Scheme) -> SecondOrder:
 
     Let the kicks have the parts b_j of the step and the times c_j since the heat exchange, as parts of the step. Then
     alpha = 1/12 - B/2 and beta = 1/12 - D/2 with B and D of `sequence.second_moments`, and a force-gradient kick of
-    strength s adds -s b³/2 to beta. ValueError if a step has not one place of heat exchange between drifts and kicks of
-    all forces that mirror each other.
+    strength s adds -s b³/2 to beta. A ValueError is raised unless a step has a single heat exchange, between drifts and
+    kicks by all forces that mirror each other.
     """
     behind, before = _around_exchange(scheme)
     cycle = behind + before

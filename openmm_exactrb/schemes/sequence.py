@@ -50,7 +50,7 @@ def repeated(sequence: Sequence, n: int) -> Sequence:
 def second_moments(kicks: Iterable[tuple[float, float]]) -> tuple[float, float]:
     """Return B = sum_j b_j c_j (1 - c_j) and D = sum_{j<k} b_j b_k (c_k - c_j) of kicks (b_j, c_j), in their order.
 
-    b_j is the part of a kick and c_j its place, the time since the thermostat, in units of the step.
+    b_j is the fraction of a kick and c_j its time since the thermostat, in units of the step.
     """
     kicks = tuple(kicks)
     single = math.fsum(b * c * (1.0 - c) for b, c in kicks)
@@ -61,7 +61,7 @@ def second_moments(kicks: Iterable[tuple[float, float]]) -> tuple[float, float]:
 def spelled(text: str) -> Sequence:
     """Return the sequence of a text such as "B A O A B"; substeps of the same kind have equal fractions of the step.
 
-    ValueError if there is no substep, or an unknown one.
+    A ValueError is raised if there is no substep, or an unknown one.
     """
     symbols = text.split()
     if not symbols:

@@ -23,8 +23,8 @@ def reading_point(kicks: Iterable[tuple[float, float]]) -> float:
 
     A step from one heat exchange to the next takes (q, p) of an oscillator of the frequency w to
     (.. + (1 - B h² w²) h p, .. - (1 - D h² w²) h w² q) up to h³, with B and D of `sequence.second_moments`. So next to
-    the thermostat w² <q²> / <p²> is 1 - (B - D) h² w², and a drift over y h, which leaves momenta alone, adds y² h² w²:
-    with y² = B - D places are canonical up to h⁴, as momenta are.
+    the thermostat w² <q²> / <p²> is 1 - (B - D) h² w², and a drift over y h, which leaves momenta unchanged, adds y² h²
+    w²: with y² = B - D positions are canonical up to h⁴, like momenta.
     """
     single, double = second_moments(sorted(kicks, key=operator.itemgetter(1)))
     return math.sqrt(single - double)

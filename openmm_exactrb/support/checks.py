@@ -94,7 +94,7 @@ def owners(bodies: Sequence[Sequence[int] | Indices], n_particles: int) -> Indic
     order = np.argsort(particles, kind="stable")
     for i in np.flatnonzero(np.diff(particles[order]) == 0):
         first, second = numbers[order[i : i + 2]]
-        raise ValueError(f"particle {particles[order[i]]} is named twice, in bodies {first} and {second}")
+        raise ValueError(f"particle {particles[order[i]]} is named twice, in bodies {first} and {second}: name it once")
     owner[particles] = numbers
     return owner
 

@@ -26,7 +26,7 @@ def digest(content: bytes) -> str:
 
 
 def qualified_name(function: Any) -> str:
-    """Return the module and name of a function or class; a script has the name under which it would be imported."""
+    """Return the module and name of a function or class; a script is named as it would be imported."""
     module, main = function.__module__, sys.modules.get("__main__")
     if module == "__main__" and main is not None:
         spec, file = getattr(main, "__spec__", None), getattr(main, "__file__", None)

@@ -1,4 +1,4 @@
-"""Warnings that point to the user's call, however deep in the package and in OpenMM they arise."""
+"""Warnings that point to the user's call, however deep in the package or in OpenMM they are issued."""
 
 from __future__ import annotations
 

@@ -69,8 +69,7 @@ def rigid_sites(mass: float | unit.Quantity, inertia: ArrayLike | unit.Quantity)
     flat = np.abs(spread) < 1e-12 * moments.max()
     if (spread[~flat] < 0.0).any():
         raise ValueError(
-            f"there is no body with the moments of inertia {moments.tolist()}: none may be larger than the sum of "
-            f"the others"
+            f"no body has the moments of inertia {moments.tolist()}: each must be at most the sum of the other two"
         )
     if not flat.any():
         return np.asarray(_TETRAHEDRON * np.sqrt(spread / mass))

@@ -57,7 +57,7 @@ def heavy_hydrogens(
     if topology.getNumAtoms() != system.getNumParticles():
         raise ValueError(
             f"the Topology has {topology.getNumAtoms()} atoms, but the System has {system.getNumParticles()} particles"
-            ": they do not belong together"
+            ": pass the Topology of this System"
         )
     left = [system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())]
     bearers = _bearers(topology)

@@ -61,7 +61,7 @@ class Metropolis(Substep):
     symbol: ClassVar[str] = "X"
 
     def bind(self, environment: Environment) -> Flow[State]:
-        """Return the flow of a proposal and its acceptance test."""
+        """Return the flow of a proposal with its acceptance test."""
         kT, numbers = gas_constant_times(self.temperature), environment.numbers
         bodies, forces, clock = environment.bodies, environment.forces(), environment.clock
         forces.with_energies()

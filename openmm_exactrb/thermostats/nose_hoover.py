@@ -1,6 +1,6 @@
 """Nosé-Hoover chains for rigid bodies: deterministic, time-reversible, with a conserved quantity.
 
-Translation and rotation have a chain each, or share one: G. J. Martyna, M. L. Klein and M. Tuckerman, J. Chem. Phys.
+Translation and rotation have one chain each, or share one: G. J. Martyna, M. L. Klein and M. Tuckerman, J. Chem. Phys.
 97, 2635 (1992), doi:10.1063/1.463940. The flow of the chain and of the kinetic energy that it scales is the
 time-reversible splitting of G. J. Martyna, M. E. Tuckerman, D. J. Tobias and M. L. Klein, Mol. Phys. 87, 1117 (1996),
 doi:10.1080/00268979600100761. It needs only the kinetic energies of the bodies, so that angular momenta are scaled in
@@ -50,7 +50,7 @@ WEIGHTS: Mapping[int, tuple[float, ...]] = {
 
 @dataclass(frozen=True)
 class NoseHooverChain(Thermostat):
-    """Nosé-Hoover chains: thermostats with a coordinate and a velocity each, the first of which scales momenta.
+    """Nosé-Hoover chains: thermostats with a coordinate and a velocity each; the first one scales momenta.
 
     Parameters
     ----------

@@ -120,12 +120,11 @@ def kinetic_energy(x: Array, rate: Array) -> float:
 def scaling(kinetic: float, kT: float, elapsed: float, along: float, across: float) -> float:
     """Return the factor for momenta with a given kinetic energy, by the paper's appendix.
 
-    In units where kT is one the momenta are a vector of length r, whose every component relaxes as
-    `openmm_exactrb.thermostats.langevin` has it. Before, the component along the vector is r and the others are zero;
-    the factor is the length of the vector afterwards divided by r. Its sign is that of the first component: G. Bussi
-    and M. Parrinello (2008), doi:10.1016/j.cpc.2008.01.006. The time `elapsed` is in relaxation times, `along` is a
-    standard normal variate, and `across` is the sum of the squares of as many variates as there are other degrees of
-    freedom.
+    In units where kT is one, the momenta are a vector of length r, each component of which relaxes as in
+    `openmm_exactrb.thermostats.langevin`. Before, the component along the vector is r and the others are zero; the
+    factor is the length of the vector afterwards divided by r. Its sign is that of the first component: G. Bussi and M.
+    Parrinello (2008), doi:10.1016/j.cpc.2008.01.006. The time `elapsed` is in relaxation times, `along` is a standard
+    normal variate, and `across` is the sum of the squares of as many variates as there are other degrees of freedom.
     """
     noise = -math.expm1(-elapsed) * kT / (2.0 * kinetic)
     first = math.exp(-0.5 * elapsed) + math.sqrt(noise) * along

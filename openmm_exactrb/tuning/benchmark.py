@@ -65,7 +65,7 @@ _LOST = 0.1
 
 @dataclass(frozen=True)
 class Method:
-    """A scheme, plain or with the bonded forces nested in its drifts, or without a scheme the baseline `VERLET`."""
+    """A scheme, plain or with the bonded forces nested in its drifts; without a scheme, the baseline `VERLET`."""
 
     scheme: Scheme | None = None
     nested: bool = False
@@ -87,7 +87,7 @@ class Method:
 
     @property
     def evaluations(self) -> float:
-        """The same in a step of `Simulation.step`, with those for what reports show."""
+        """Force evaluations per step within `Simulation.step`, including those for the output."""
         if self.scheme is None:
             return 1.0
         shown = self.scheme.with_inner_steps if self.nested else self.scheme
@@ -150,7 +150,7 @@ class SchemeUnderTest:
 
 
 class VerletUnderTest(SchemeUnderTest):
-    """OpenMM's leapfrog, which takes the velocities of the start for those half a step before."""
+    """OpenMM's leapfrog, which interprets the velocities of the start as those half a step earlier."""
 
     def __init__(self, start: InitialState) -> None:
         self.integrator, self.timings, self._groups = openmm.VerletIntegrator(1e-6), Timings(), start.groups
@@ -180,7 +180,7 @@ class Benchmark:
         self.characteristics = characteristics(integrator, context)
         now = context.getState(positions=True, forces=True, groups=state.groups)
         if not now.getForces(asNumpy=True)._value.any():
-            raise ValueError("no force acts: there is no energy error to measure")
+            raise ValueError("no force acts, so there is no energy error to measure: add forces to the System")
         bodies, bodies_state = integrator.bodyState()
         context.setPositions(bodies.positions(bodies_state, now.getPositions(asNumpy=True)._value))
         context.computeVirtualSites()

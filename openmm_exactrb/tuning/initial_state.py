@@ -1,4 +1,4 @@
-"""The initial state of all runs, as given or brought to a temperature, and its characteristic times."""
+"""The initial state of all runs, either as given or brought to a temperature, and its characteristic times."""
 
 from __future__ import annotations
 
@@ -124,9 +124,7 @@ def initial_state(
 def _coordinates(values: Any, system: openmm.System, in_unit: unit.Unit, what: str) -> Array:
     array = checks.array(stripped(values, in_unit), what, f"numbers of shape (n, 3) in {in_unit}")
     if array.shape != (system.getNumParticles(), 3):
-        raise ValueError(
-            f"{what} have the shape {array.shape}, but the System has {system.getNumParticles()} particles"
-        )
+        raise ValueError(f"{what} must have the shape ({system.getNumParticles()}, 3), not {array.shape}")
     if not np.isfinite(array).all():
         raise ValueError(f"{what} are not finite: give finite ones")
     return array

@@ -40,7 +40,7 @@ class Point:
 def stable_curve(points: Sequence[Point], method: str) -> list[Point]:
     """Return the points of a method with steps below its smallest unstable one, cheapest first.
 
-    Points are omitted if a longer run with no larger step has a larger error, which they did not show.
+    Points are omitted if a longer run with no larger step has a larger error.
     """
     own = [p for p in points if p.method == method]
     limit = min((p.step for p in own if math.isinf(p.error)), default=math.inf)
@@ -63,7 +63,7 @@ def cost_at(curve: Sequence[Point], error: float) -> float | None:
 
 
 def step_at(curve: Sequence[Point], cost: float) -> float:
-    """Return the step with a cost, if a force evaluation takes as long as at the nearest point."""
+    """Return the step with a given cost, if a force evaluation takes as long as at the nearest point."""
     nearest = min(curve, key=lambda p: abs(math.log(p.cost / cost)))
     return nearest.step * (nearest.cost / cost)
 

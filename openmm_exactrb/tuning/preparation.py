@@ -61,7 +61,7 @@ def characteristics(integrator: ExactRigidBodyIntegrator, context: openmm.Contex
         raise ValueError("the forces at the start are not finite: minimise the energy first")
     (force, torque), kinetic = bodies.forces(state, forces), sum(bodies.kinetic_energies(state))
     if not kinetic > 0.0:
-        raise ValueError("nothing moves: there is no energy error to measure")
+        raise ValueError("nothing moves, so there is no energy error to measure: give particles a mass")
     moments = np.broadcast_to(bodies.inertia.T, torque.shape)
     turning = torque[moments > 0.0] ** 2 / moments[moments > 0.0]
     square = float((force**2 / bodies.mass).sum() + turning.sum())
@@ -91,7 +91,7 @@ def diverging() -> Iterator[None]:
 
 
 def minimise(integrator: ExactRigidBodyIntegrator) -> None:
-    """Remove the overlaps of a start; the first short steps of `heat` remove the rest."""
+    """Remove the overlaps of a start; the first short steps of `heat` remove any that remain."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", MinimisationWarning)
         try:
@@ -110,8 +110,8 @@ def heat(
 ) -> Iterator[float]:
     """Perform Langevin dynamics for a time in ps, by default in `PARTS` parts; yield the kinetic energy after each.
 
-    The step is chosen from the forces, which allows starts far from equilibrium. It is halved if bodies collide that
-    had no forces when it was chosen.
+    The step is chosen from the forces, which allows starts far from equilibrium. The step is halved if bodies collide
+    that had no forces when it was chosen.
     """
     left, least = (math.inf, 0.0) if length is None else (length, _RELAXED / (length or math.inf))
     part, halvings = 0, 0

@@ -28,10 +28,10 @@ _TRIED, _RUNS, _RISE, _AIM = 3, 5, 1.05, 0.8
 
 
 def probed(measured: Measurements) -> float | None:
-    """Return the error due to the noise of the forces, or None if two schemes with short steps show none.
+    """Return the error due to noise in the forces, or None if two schemes with short steps show no such error.
 
     The steps are so short that the error of a scheme alone would fall to a quarter from the first to the second. If it
-    does not because the scheme loses its order, as processed ones do with constraints that are not rigid, the other one
+    does not, because the scheme loses its order, as processed schemes do with nonrigid constraints, the other scheme
     has a smaller error.
     """
     try:

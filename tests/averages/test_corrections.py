@@ -330,7 +330,7 @@ def test_what_a_file_lacks_is_said(tmp_path):
     with pytest.raises(ValueError, match="for each of the 100 frames"):
         rb.corrected(file, np.zeros(99))
     for values, slope in ((np.full(100, np.nan), None), (np.zeros(100), np.zeros(99)), (np.zeros(100), np.inf)):
-        with pytest.raises(ValueError, match="one finite value, and one slope, for each of the 100 frames"):
+        with pytest.raises(ValueError, match="one finite number for each of the 100 frames"):
             rb.corrected(file, values, slope)
     with pytest.raises(ValueError, match=r"create the AverageReporter with around=\(particles, distance\)"):
         rb.corrected(file, "pressure", local=True)

@@ -79,7 +79,7 @@ def test_a_run_that_was_to_be_overwritten_does_not_come_back(run, tmp_path, caps
 def test_a_second_command_in_a_folder_prepares_nothing(run, tmp_path, capsys):
     out = tmp_path / "out"
     out.mkdir()
-    busy = f"another process is running in {out}: wait for its end, or use another folder"
+    busy = f"another process is running in {out}: wait until it ends, or use another folder"
     with only_process(out):
         for options in ((), ("--resume",), ("--overwrite",)):
             status, said, errors = carry_out(capsys, *run, *LONG, *options)

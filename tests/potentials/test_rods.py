@@ -111,7 +111,7 @@ def test_the_topology_ends_in_centre_and_tip_as_with_every_kernel():
         ({"rods": [(0, 1, 2)]}, r"each rod is a pair of particles, plus, minus"),
         ({"rods": []}, "at least one rod"),
         ({"particles": 3}, "particles must be"),
-        ({"centres": [4]}, "2 rods have 1 centres"),
+        ({"centres": [4]}, "each of the 2 rods, not 1"),
     ],
 )
 def test_wrong_options_get_one_sentence(options, message):

@@ -49,14 +49,14 @@ def test_steps_advance_both_flows_by_the_time(n, h, name):
 
 
 def test_a_table_of_the_wrong_length_is_refused():
-    with pytest.raises(ValueError, match="leave 1 free, but 2 were given"):
+    with pytest.raises(ValueError, match=r"must have 1 free coefficients .*, not 2"):
         symmetric("bad", order=4, stages=3, first="kick", a=(0.1, 0.2), b=(0.1,))
-    with pytest.raises(ValueError, match="not finite"):
+    with pytest.raises(ValueError, match="must be finite"):
         symmetric("bad", order=4, stages=3, first="kick", a=(float("nan"),), b=(0.1,))
 
 
 def test_a_sequence_that_is_empty_or_has_something_else_than_substeps_is_refused():
-    with pytest.raises(ValueError, match="scheme mine: the sequence of a step is empty"):
+    with pytest.raises(ValueError, match="scheme mine: the sequence of a step must have"):
         Scheme("mine", 2, ())
     for wrong in (("A", 1.0), DRIFT, (DRIFT, 0.5, 0.5), (Kick, 1.0)):
         with pytest.raises(ValueError, match="scheme mine: a sequence consists of pairs of a Substep"):
@@ -82,7 +82,7 @@ def test_every_table_is_closed_to_a_palindrome_of_sum_one(stages, first, coeffic
     if stages % 2:
         composed = schemes.composition("any", order=2, steps=sizes, stages=stages, reference="")
         assert composes_verlet(composed)
-    with pytest.raises(ValueError, match="not finite"):
+    with pytest.raises(ValueError, match="must be finite"):
         symmetric("any", order=2, stages=3, first=first, a=(np.inf,), b=(np.inf,) * (first == "drift"))
 
 

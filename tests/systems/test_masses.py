@@ -87,7 +87,7 @@ def test_what_cannot_be_is_refused_and_changes_nothing():
     with pytest.raises(ValueError, match=r"moves, but atom 0 .* has no mass to give: give both zero mass, or neither"):
         rb.heavy_hydrogens(frozen, topology)
     for arguments, message in (
-        ((system, rb.rigid_water(2)[0]), "22 particles: they do not belong together"),
+        ((system, rb.rigid_water(2)[0]), "22 particles: pass the Topology of this System"),
         ((topology, system), "takes an openmm.System and its Topology"),
         ((system, topology, -1.0), "mass must be a positive number of amu"),
         ((system, topology, 3 * unit.nanometer), "mass must be"),

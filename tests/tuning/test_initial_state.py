@@ -56,7 +56,7 @@ def test_positions_with_a_temperature_and_bodies_by_hand_are_enough():
     ("options", "message"),
     [
         ({"start": None}, "no start was given"),
-        ({"start": np.zeros((3, 3))}, r"shape \(3, 3\), but the System has 24"),
+        ({"start": np.zeros((3, 3))}, r"the shape \(24, 3\), not \(3, 3\)"),
         ({"start": np.full((24, 3), np.nan)}, "positions are not finite"),
         ({"start": "water.pdb"}, "positions must be numbers"),
         ({"velocities": np.zeros((24, 3))}, "all velocities of the start are zero"),

@@ -91,7 +91,7 @@ class Assembly:
         return lambda row: Launch(source, factors.kernel, 1, (*arrays, row, "#step", "$key"), 1)
 
     def cheap(self, turns: float) -> bool:
-        """Return whether the output uses stored forces, of which there are enough after a number of steps."""
+        """Return whether the output uses stored forces, and enough of them are available after a number of steps."""
         pairs = (self._demands.memory, self._demands.differences)
         return bool(self.scheme.output) and all(turns * per_step >= size for size, per_step in pairs)
 

@@ -57,13 +57,15 @@ class Library:
         try:
             self._functions = ctypes.CDLL(str(path))  # OpenMM's own library is loaded: this one is linked to it
         except OSError as error:
-            raise MissingLibraryError(f"{path} cannot be loaded: {error}") from error
+            raise MissingLibraryError(
+                f"{path} cannot be loaded ({error}): delete it, so that it is compiled again"
+            ) from error
         self._functions.pi_error.restype = ctypes.c_char_p
         self._functions.pi_register.restype = ctypes.c_char_p
         if built_for := self._functions.pi_register():
             raise MissingLibraryError(
                 f"{path} was built for OpenMM {built_for.decode()}, not {openmm.__version__}: delete it, "
-                "and it is compiled again"
+                "so that it is compiled again"
             )
 
     def make(self) -> Any:
@@ -202,7 +204,7 @@ def compiled() -> Path:
     """Return the library in the user's cache, and compile it if it is missing."""
     path = cached()
     if not path.exists():
-        _log.warning("compiling the device engine for OpenMM %s, once: some seconds", openmm.__version__)
+        _log.warning("compiling the device engine for OpenMM %s, once, which takes some seconds", openmm.__version__)
         build(path)
     _check_owner(path)
     return path

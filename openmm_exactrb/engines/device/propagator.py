@@ -1,4 +1,4 @@
-"""The propagator on the device: lets the integrator execute the program of a scheme, and checks the result."""
+"""The propagator on the device: it lets the integrator execute the program of a scheme, and checks the result."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class DevicePropagator:
         raise ValueError("momenta within a step are not available on the device: use engine='host'")
 
     def energy_at_exchange(self, version: object, settings: Callable[[], Any]) -> float:
-        """Return the total energy (kJ/mol) at the last heat exchange of a step that moves all bodies freely."""
+        """Return the total energy (kJ/mol) at the last heat exchange of a step in which all bodies move freely."""
         self.sync.pull()
         bodies, state, of = self.sync.bodies, self.sync.state, settings()
         drift = free_motion(bodies, of.rotor).drift
@@ -121,7 +121,7 @@ class DevicePropagator:
         return bool(self._settings.scheme.processor)
 
     def _bind(self, settings: Any) -> None:
-        """Update the program to new settings: its numbers, or all of it."""
+        """Update the program to new settings: only its numbers, or the whole program."""
         self._leave(settings)
         before, self._settings = (self._settings.h, self._settings.groups), settings
         nested = self._fast is not None and before != (settings.h, settings.groups)
@@ -256,7 +256,7 @@ class DevicePropagator:
 
     @property
     def _judged(self) -> bool:
-        """Whether a jump of the total energy is an error."""
+        """Whether a jump of the total energy raises an error."""
         return bool(self._conserves and self._settings.check)
 
     @property

@@ -23,7 +23,7 @@ _ROTORS = ("exact", "exact_numpy", "exact_compiled")
 
 
 def _unsupported(settings: Settings) -> str | None:
-    """Return why the rotor, the thermostat or a substep is not supported."""
+    """Return why the rotor, the thermostat or a substep is not supported, or None."""
     thermostat, rotor, scheme = settings.thermostat, settings.rotor, settings.scheme
     if thermostat is not None and thermostat.kernel_exchange(0.0, (0, 0)) is None:
         return f"the device does not support {type(thermostat).__name__}"
@@ -39,7 +39,7 @@ def _unsupported(settings: Settings) -> str | None:
 
 
 def _unsupported_in(context: Any, settings: Settings) -> str | None:
-    """Return why a Context is not supported."""
+    """Return why a Context is not supported, or None."""
     platform = context.getPlatform()
     name = platform.getName()
     if name not in platforms.DEVICES:
@@ -59,7 +59,7 @@ def _unsupported_in(context: Any, settings: Settings) -> str | None:
 
 
 def _unsupported_beside_molecules(settings: Settings) -> str | None:
-    """Return what the kernels of flexible molecules do not support."""
+    """Return what the kernels of flexible molecules do not support, or None."""
     if settings.scheme.has_gradients:
         return f"the device has no force-gradient kicks of flexible molecules, which {settings.outer.name} needs"
     for substep, part in settings.scheme.sequence:
@@ -99,8 +99,8 @@ def _propagator(context: Any, integrator: openmm.CustomIntegrator, settings: Set
     if not library().owns(integrator):
         if integrator.getGlobalVariable(0) in _marks(settings):
             warn(
-                "a checkpoint of the device was loaded before the engine was chosen, so that the run continues from "
-                "positions and velocities, and not to the last bit: call step(0) before loadCheckpoint()"
+                "a checkpoint of the device was loaded before the engine was chosen, so the run continues from "
+                "positions and velocities, not bit for bit: call step(0) before loadCheckpoint()"
             )
         program = openmm.CustomIntegrator(0.0)
         _declare(program, settings)

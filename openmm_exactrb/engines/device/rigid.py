@@ -68,7 +68,7 @@ class Demands:
 
 
 def parts_of(bodies: RigidBodies, demands: Demands, others: Indices | None = None) -> list[RigidPart]:
-    """Return the parts of a program for all bodies but given ones (k,), with a thread or a group for each body."""
+    """Return the parts of a program for all bodies except given ones (k,), with one or several threads per body."""
     chosen = np.ones(len(bodies), dtype=bool)
     chosen[[] if others is None else others] = False
     small = [kind for kind in bodies.kinds if kind.particles.shape[1] <= LARGE]

@@ -69,7 +69,7 @@ class Segment:
     places: bool = False
 
     def has(self, *ops: Op) -> bool:
-        """Return whether one of the moves is of these kinds."""
+        """Return whether any move is of these kinds."""
         return any(move.op in ops for move in self.moves)
 
 
@@ -123,7 +123,7 @@ def divided(
 
 
 def merged(moves: Iterable[Move]) -> tuple[Move, ...]:
-    """Return moves of a segment where neighbours that add up are one."""
+    """Return the moves of a segment, with additive neighbours merged."""
     rows: list[Move] = []
     for move in moves:
         if rows and rows[-1].op == move.op and move.op in (Op.DRIFT, Op.KICK, Op.FAST_KICK):
@@ -144,7 +144,7 @@ def known_after(segments: Sequence[Segment], known: int | None = None) -> int | 
 
 
 def _joined(segments: Sequence[Segment]) -> list[Segment]:
-    """Return segments in which the last inner kick of a drift at the end of one is due in the next."""
+    """Return segments in which the last inner kick of a drift at the end of a segment is deferred to the next."""
     joined, behind = [], 0.0
     for number, segment in enumerate(segments):
         before = behind
@@ -337,7 +337,7 @@ class Sequences:
         to.sequence("output", [*self._copies(shown=True), *self._way(scheme.output, copied=True)])
 
     def _copies(self, shown: bool) -> list[Operation]:
-        """Return what makes the shown state one of that in inner coordinates, or the other way round."""
+        """Return the operations that copy the state in inner coordinates to the shown state, or vice versa."""
         pairs = [zip(part.state(not shown), part.state(shown), strict=True) for part in self.parts]
         return [program.copy(*names) for names in itertools.chain(*pairs)]
 

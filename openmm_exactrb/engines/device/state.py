@@ -25,7 +25,7 @@ _SINGLE, _SINGLE_PART = 1e-5, 1e-6
 class DeviceState(Synchronisation):
     """A `Synchronisation` that reads the state only on request: the device does not need it on the host.
 
-    OpenMM's integrator detects external changes to the Context, so that nothing is compared.
+    OpenMM's integrator detects external changes to the Context, so states need not be compared.
     """
 
     _behind = False  # whether the device has moved on since `state` was read

@@ -28,9 +28,9 @@ Bound = list[tuple[Flow[State], float]]
 
 @dataclass
 class HostEnvironment:
-    """What substeps are bound to in a Context, as `openmm_exactrb.environment.Environment` says.
+    """The `openmm_exactrb.environment.Environment` of a Context, to which substeps are bound.
 
-    `slow` are the forces of kicks, `all_forces` those of all force groups that act.
+    `slow` are the forces of kicks, and `all_forces` those of all active force groups.
     """
 
     bodies: RigidBodies

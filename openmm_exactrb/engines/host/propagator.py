@@ -322,7 +322,7 @@ class HostPropagator:
     def _split(
         self, settings: Settings, forces: ContextForces, divergence: DivergenceCheck
     ) -> tuple[Kinetic, EvaluatedForces]:
-        """Return the free motion, including fast forces if there are any, and the forces of kicks."""
+        """Return the free motion, including any fast forces, and the forces of kicks."""
         kinetic, clusters, check = self._kinetic, bool(len(self.sync.bodies.clusters)), divergence.finite
         displaced = _checked(kinetic.displaced, check) if clusters else kinetic.displaced
         inner, scheme = self._inner_drift, settings.splitting
@@ -338,7 +338,7 @@ class HostPropagator:
         return Kinetic(drift, displaced, kinetic.tangent, split), slow
 
     def _timed(self, drift: Flow[State], passes: bool = True) -> Flow[State]:
-        """Return a drift that moves the positions of the Context, and its time where it `passes`."""
+        """Return a drift that moves the positions of the Context, and advances its time if it `passes`."""
         positions, clock, timings = self._positions, self._clock, self._timings
 
         def flow(state: State, tau: float) -> State:

@@ -133,7 +133,7 @@ def test_a_text_without_a_move_is_refused():
         def device_moves(self, part):
             return (Move(Op.OWN, part, text="DEVICE inline void fade(Body* body) {}"),)
 
-    with pytest.raises(ValueError, match=r"has no `DEVICE inline void NAME\(Body\* body, double tau\)`"):
+    with pytest.raises(ValueError, match=r"must define `DEVICE inline void NAME\(Body\* body, double tau\)`"):
         rb.ExactRigidBodyIntegrator(0.001, Scheme("wrong", 1, ((Wrong(1.0), 1.0), (DRIFT, 1.0))), engine="device")
 
 

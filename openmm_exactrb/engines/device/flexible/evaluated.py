@@ -1,4 +1,4 @@
-"""Inner steps whose fast forces OpenMM evaluates for lack of a kernel: they are written into a scheme."""
+"""Inner steps whose fast forces OpenMM evaluates because there is no kernel: they become part of the scheme."""
 
 from __future__ import annotations
 

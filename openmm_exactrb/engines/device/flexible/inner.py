@@ -35,8 +35,8 @@ class InnerSteps:
 def moves_of(segment: Segment, inner: InnerSteps | None) -> Moves:
     """Return the moves of a segment for flexible molecules.
 
-    If the next segment begins with a kick, the fast forces for the kick at the end of a drift must be known there: a
-    kick that a segment `leaves` is due in the next one.
+    If the next segment begins with a kick, it also needs the fast forces at the end of this drift: a kick that a
+    segment `leaves` is due in the next one.
     """
     moves = [move for move in segment.moves if move.op != Op.DRIFT or move.bodies != "others"]
     if inner is None:

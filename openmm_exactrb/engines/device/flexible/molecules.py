@@ -1,4 +1,4 @@
-"""The composition of flexible molecules in a Context, and which of them the kernels support."""
+"""The composition of flexible molecules in a Context, and the check that the kernels support them."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ class Flexible(NamedTuple):
     ----------
     molecules : Molecules
     particles : (n_particles, 3) array
-        Up-to-date positions of all particles, for the massless ones.
+        Up-to-date positions of all particles, of which the massless ones are used.
     precision : type
         Precision of fast forces: np.float32 or np.float64.
     """
