@@ -80,15 +80,15 @@ def _as_it_is(name: str) -> str:
 
 
 def _equipartition() -> Iterator[tuple[str, str]]:
-    record = read(RECORD)
+    record, again = read(RECORD), read(AGAIN)
     for model in ("spce", "tip4p2005"):
         yield f"{model}_temperatures", over_steps(record, "T_rot - T_tr", model, "NVT")
         yield f"{model}_temperatures_at_pressure", over_steps(record, "T_rot - T_tr", model, "NPT")
         yield f"{model}_energies", over_steps(record, "U", model, "NVT")
         yield f"{model}_densities", over_steps(record, "density", model, "NPT")
         yield f"{model}_frictions", over_frictions(record, model, 6.0)
-        yield f"{model}_goals", over_goals(record, read(AGAIN), model)
-    yield "equipartition_models", over_models(record, read(AGAIN))
+        yield f"{model}_goals", over_goals(record, again, model)
+    yield "equipartition_models", over_models(record, again)
 
 
 def pages() -> list[Path]:

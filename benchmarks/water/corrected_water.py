@@ -18,6 +18,7 @@ import math
 import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -101,6 +102,7 @@ def rows_of(model: str, ensemble: str, ps: float, seed: int) -> Iterator[dict[st
         yield row | {"model": model, "ensemble": ensemble, "method": method, "fs": fs, "ps": ps, "seed": seed}
 
 
+@cache
 def points(model: str, ensemble: str, name: str) -> list[Corrected]:
     """Return the averages of a model that have a correction, by method and step."""
     corrections = [row for row in RECORD.rows().values() if (row["model"], row["ensemble"]) == (model, ensemble)]

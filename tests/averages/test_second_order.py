@@ -1,6 +1,7 @@
 """The second-order error of averages, against stationary distributions by quadrature."""
 
 import itertools
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -14,7 +15,11 @@ from openmm_exactrb.schemes.sequence import spelled
 from openmm_exactrb.schemes.thermostatted import with_thermostat
 
 ROTOR = "rotor in a field"
-MOTIONS = {"quartic well": Quartic(), "with a spring in the drifts": Quartic(spring=2.0), ROTOR: Rotor()}
+MOTIONS = {
+    "quartic well": cache(Quartic),
+    "with a spring in the drifts": cache(partial(Quartic, spring=2.0)),
+    ROTOR: cache(Rotor),
+}
 # The time of a force evaluation: where it is divided by 2 and 4, what is left of higher order follows.
 SCHEMES = {"BAOA": 0.16, "BAOAB": 0.16, "ABOBA": 0.16, "V2": 0.12, "S2_2": 0.08, "W2_3m": 0.1, "W2_4g": 0.06}
 FRICTIONS = (1.0, 3.0, 9.0)
@@ -49,7 +54,7 @@ def predicted(motion, order, friction):
 )
 def test_the_error_of_averages_is_the_predicted_one_at_every_friction(motion, name):
     """Errors over h² approach the prediction as h²: their extrapolation to h = 0 from three steps agrees with it."""
-    system, (scheme, steps) = MOTIONS[motion], steps_of(name)
+    system, (scheme, steps) = MOTIONS[motion](), steps_of(name)
     exact = np.array([system.mean(of(system.z)) for of, _ in system.observables])
     for friction in FRICTIONS:
         full, *_ = predicted(system, second_order(scheme), friction)
@@ -68,7 +73,7 @@ def test_the_error_of_averages_is_the_predicted_one_at_every_friction(motion, na
 @pytest.mark.parametrize("motion", ["quartic well", ROTOR])
 def test_the_error_at_strong_friction_goes_to_its_limit_as_the_square_of_the_inverse(motion):
     """The rotor's limit has the curvature of its sphere in it, which brackets leave out: it is small in a liquid."""
-    system, order = MOTIONS[motion], second_order(steps_of("W2_3m")[0])
+    system, order = MOTIONS[motion](), second_order(steps_of("W2_3m")[0])
     curved = [
         -2.0 * order.alpha * system.ricci * system.covariance(of(system.z), system.potential(system.z))
         for of, _ in system.observables
@@ -84,7 +89,7 @@ def test_baoab_has_no_error_of_positions_at_strong_friction():
     """B. Leimkuhler and C. Matthews (2013), doi:10.1063/1.4802990."""
     for name in ("BAOAB", "BAOA"):
         order = second_order(steps_of(name)[0])
-        for system in (MOTIONS["quartic well"], MOTIONS[ROTOR]):
+        for system in (MOTIONS["quartic well"](), MOTIONS[ROTOR]()):
             assert predicted(system, order, 1.0)[2] == pytest.approx(0.0, abs=1e-12)
 
 
