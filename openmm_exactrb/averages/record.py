@@ -120,7 +120,6 @@ def read(file: str | os.PathLike[str]) -> tuple[Settings, dict[str, Array]]:
     finite = np.isfinite(values).all(axis=1)
     if not finite.all():
         raise ValueError(
-            f"line {3 + np.argmin(finite)} of {file} has a value that is not a finite number: look for what went wrong "
-            "in the run, and delete the lines from there on"
+            f"line {3 + np.argmin(finite)} of {file} has a non-finite value: delete this line and all later ones"
         )
     return _settings(lines[0]), dict(zip(names, values.T, strict=True))

@@ -201,7 +201,7 @@ def _system(
         width = min(vectors[i][i].value_in_unit(unit.nanometer) for i in range(3))
         if args.cutoff > 0.5 * width:
             raise ValueError(
-                f"the box is {width:.3g} nm wide, and --cutoff {args.cutoff:g} more than half of that: "
+                f"--cutoff {args.cutoff:g} is more than half the width of the box, {width:.3g} nm: "
                 "use a smaller cutoff or a larger box"
             )
         options = {

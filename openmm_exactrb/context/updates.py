@@ -1,4 +1,4 @@
-"""Context updates: what OpenMM does between steps. Barostats, thermostats and CMMotionRemover of a System."""
+"""Context updates, which OpenMM performs between steps: barostats, thermostats and the CMMotionRemover of a System."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ def cores() -> int:
 
 
 def in_threads(function: Callable[[int, int], None], work: NDArray[np.int64], threads: int) -> None:
-    """Call ``function(first, last)`` on ranges of items of about equal work (n,), each in its own thread."""
+    """Call ``function(first, last)`` in several threads, on ranges of items with about equal total work (n,)."""
     if threads == 1:
         function(0, len(work))
         return

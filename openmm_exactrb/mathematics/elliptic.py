@@ -105,10 +105,10 @@ def carlson_rj(x: Array | float, y: Array, p: Array) -> Array:
 
     Notes
     -----
-    The function of scipy, except for two limits. For large p, scipy omits the last term of 3/p (R_F - pi/(2 sqrt(p)) +
-    2 R_G/p), which is up to 1e-13 of the whole; the next one is of order p^-3/2 (DLMF 19.27.11-13). If x y is not a
-    normal number, scipy's result is wrong by up to 1e-3; here the result is 3/p (log(4/(sqrt(x) + sqrt(y))) - R_C(1,
-    p)), which is R_J(x', x', 1, p) with x' between x and y.
+    Uses scipy except in two limits. For large p, scipy omits the last term of 3/p (R_F - pi/(2 sqrt(p)) + 2 R_G/p),
+    which is up to 1e-13 of the whole; the next one is of order p^-3/2 (DLMF 19.27.11-13). If x y is not a normal
+    number, scipy's result is wrong by up to 1e-3; here the result is 3/p (log(4/(sqrt(x) + sqrt(y))) - R_C(1, p)),
+    which is R_J(x', x', 1, p) with x' between x and y.
     """
     from scipy.special import elliprc, elliprf, elliprg, elliprj  # here, for a short import of the package
 

@@ -43,7 +43,7 @@ AUTO, BONDED = "auto", "bonded"
 
 @dataclass(frozen=True)
 class MultipleTimeSteps:
-    """The fast forces that a user requests.
+    """The user's settings for fast forces.
 
     Attributes
     ----------
@@ -181,7 +181,7 @@ def fast_forces(system: openmm.System, bodies: RigidBodies, settings: MultipleTi
     Raises
     ------
     ValueError
-        If the groups contain all forces, or the number of inner steps must be given.
+        If the groups contain all forces, or ``innerSteps`` is needed but not given.
 
     Warns
     -----

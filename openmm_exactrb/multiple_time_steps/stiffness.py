@@ -103,7 +103,7 @@ def _bonds(bonds: Bonded) -> tuple[Indices, Array, Array] | None:
 
 
 def _bonds_by_formula(bonds: Bonded) -> tuple[Indices, Array, Array] | None:
-    """Return the data of bonds by a formula, from the zero of the force and its slope there."""
+    """Return the data of bonds defined by a formula, from the zero of the force and the slope at this point."""
     if not len(bonds.whole):
         return None
     forces = _at_lengths(bonds, _LENGTHS)  # positive ones pull

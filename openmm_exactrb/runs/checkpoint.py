@@ -1,4 +1,4 @@
-"""The checkpoint file: a state and the lengths of all output files, written whole or not at all."""
+"""The checkpoint file: a state and the lengths of all output files, written completely or not at all."""
 
 from __future__ import annotations
 

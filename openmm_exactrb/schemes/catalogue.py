@@ -45,7 +45,7 @@ _PLANETS = "S. Blanes et al., Appl. Numer. Math. 68, 58 (2013), doi:10.1016/j.ap
 
 
 def _kicks_of_pairs(new: float, last: tuple[float, ...], gradients: tuple[float, ...]) -> Sequence:
-    """Return an output's kicks at one position, by forces there, the last forces and the last force-gradient terms.
+    """Return an output's kicks at one position, by the forces at it, the last forces and the last force-gradient terms.
 
     The terms are those of `TAKAHASHI_IMADA_PAIR`, whose displaced forces are magnified with alternating signs.
     """

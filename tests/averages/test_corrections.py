@@ -345,7 +345,7 @@ def test_what_a_file_lacks_is_said(tmp_path):
         last = lines[-1].replace("2000000.0", wrong)
         assert last != lines[-1]
         few.write_text("".join([*lines[:-1], last]))
-        with pytest.raises(ValueError, match=r"line 102 of .* has a value that is not a finite number"):
+        with pytest.raises(ValueError, match=r"line 102 of .* has a non-finite value"):
             rb.corrected(few, "pressure")
     (tmp_path / "no.csv").write_text("step,time\n")
     with pytest.raises(ValueError, match="was not written by an AverageReporter"):

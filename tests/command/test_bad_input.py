@@ -35,7 +35,7 @@ CASES = [
     (["system.xml", "state.xml", "--forcefield", "tip3p.xml"], "a System already contains forces"),
     ([], "there is nothing to run: give one file"),
     (["--resume"], "--resume needs the same command: repeat it with its files"),
-    (["--solvate", "27", "--forcefield", "tip3p.xml"], "--cutoff 0.9 more than half of that"),
+    (["--solvate", "27", "--forcefield", "tip3p.xml"], "--cutoff 0.9 is more than half the width of the box"),
     (["system.xml", "state.xml", "--out", "cut.pdb"], "cut.pdb is a file"),
 ]
 PDB = ["droplet.pdb", "--forcefield", "tip3p.xml"]

@@ -83,7 +83,7 @@ def _marks(settings: Settings) -> tuple[float, ...]:
 
 
 def _declare(integrator: openmm.CustomIntegrator, settings: Settings) -> None:
-    """Replace the integrator behind the Python object by one of the library, with the numbers of the package."""
+    """Replace the integrator of the Python object by one of the library, with the numbers of the package."""
     try:
         made = library().make()
     except MissingLibraryError as error:

@@ -49,7 +49,7 @@ class Segment:
     shows : bool
         Whether velocities are written to the Context after it, at the end of a step.
     behind : float
-        The fraction of the drift of bodies with inner steps that ends here with its last inner kick due, or 0.
+        The fraction of a drift of bodies with inner steps whose last inner kick is due in this segment, or 0.
     leaves : bool
         Whether the last inner kick of its last drift is due in the next segment.
     places : bool

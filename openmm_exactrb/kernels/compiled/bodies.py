@@ -33,7 +33,7 @@ def torque_of(Q, b, F):
 
 @inner
 def _put_points(R, turning, particles, x):
-    """Write R of the bodies behind those that turn into the rows of their particles."""
+    """Write R of the bodies that do not turn into the rows of their particles."""
     for body in range(turning, R.shape[1]):
         for p in range(particles.starts[body], particles.starts[body + 1]):
             for e in range(3):
