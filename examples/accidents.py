@@ -3,7 +3,7 @@ Runs that survive accidents
 ===========================
 
 All longer examples have the options ``--checkpoint``, ``--resume`` and ``--overwrite``, which
-:class:`openmm_exactrb.Run` provides for your own scripts. After Ctrl-C, SIGTERM, ``kill -9`` or a full disk, the same
+:class:`openmm_exactrb.Run` also provides for your scripts. After Ctrl-C, SIGTERM, ``kill -9`` or a full disk, the same
 command with ``--resume`` continues the run, and no frame and no line is lost or duplicated.
 """
 

@@ -2,20 +2,21 @@
 The dielectric constant of a Stockmayer fluid
 =============================================
 
-The system is a box of Lennard-Jones spheres with point dipoles and all their images, by an Ewald sum. Every half
-picosecond all momenta are drawn again, so that the run samples the canonical ensemble. The dielectric constant follows
-from the fluctuations of the total dipole moment. The picture shows its running estimate with the standard error from
-block averages, next to the value of LAMMPS for the same state. ``--long-range "reaction field"`` truncates the dipole
-interactions instead, which is sufficient for weak dipoles (``--dipole2 1``).
+The system is a box of Lennard-Jones spheres with point dipoles, whose periodic images are included by an Ewald sum. All
+momenta are redrawn every half picosecond, so that the run samples the canonical ensemble. The dielectric constant
+follows from the fluctuations of the total dipole moment. The picture shows its running estimate with the standard error
+from block averages, and the value that LAMMPS gives for the same state. ``--long-range "reaction field"`` truncates the
+dipole interactions instead, which is sufficient for weak dipoles (``--dipole2 1``).
 
 With ``--core wca --density 0.05 --temperature 1``, the spheres only repel each other: a ferrofluid in a state known
-from the literature. It is dilute, and its short chains turn slowly, so use ``--duration 10000 --step 0.03``.
+from the literature. Its short chains rotate slowly, so use ``--duration 10000 --step 0.03``.
 
 Units are reduced: sigma, epsilon and the mass of a sphere are 1 nm, 1 kJ/mol and 1 amu, and times are in ps. After
 Ctrl-C, a kill or a full disk the same command with ``--resume`` continues.
 
 The picture is from ``python examples/dielectric_constant.py``, dipoles of mu² = 3 over 2000 ps. The dielectric constant
-is 63.4 ± 2.3, that of LAMMPS 64.6 ± 1.8. The mean of six longer runs is 66.4 ± 0.7 (:doc:`/tutorials/dielectric`).
+is 63.4 ± 2.3, compared with 64.6 ± 1.8 from LAMMPS. The mean of six longer runs is 66.4 ± 0.7
+(:doc:`/tutorials/dielectric`).
 
 .. image:: /dielectric_constant.png
    :alt: Running estimate of the dielectric constant over 2000 ps with its error band, next to the value of LAMMPS
@@ -80,13 +81,13 @@ def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="The dielectric constant of dipolar spheres.")
     add = parser.add_argument
     add("-n", type=int, default=125, metavar="N", help="number of spheres (%(default)s)")
-    add("--density", type=positive, default=0.822, metavar="RHO", help="spheres a nm^3 (%(default)s)")
+    add("--density", type=positive, default=0.822, metavar="RHO", help="spheres per nm^3 (%(default)s)")
     add("--temperature", type=positive, default=1.15, metavar="KT", help="kT, kJ/mol (%(default)s)")
     add("--dipole2", type=positive, default=3.0, metavar="MU2", help="square of the dipole, kJ/mol nm^3 (%(default)s)")
     add("--core", choices=("lennard-jones", "soft", "wca"), default="lennard-jones", help="%(default)s")
-    add("--long-range", choices=BOUNDARIES, default="ewald", help="dipoles far away (%(default)s)")
+    add("--long-range", choices=BOUNDARIES, default="ewald", help="treatment of distant dipoles (%(default)s)")
     add("--step", type=positive, default=0.0125, metavar="H", help="size of a whole step of S2_2, ps (%(default)s)")
-    add("--equilibration", type=float, default=40.0, metavar="T", help="left out at the start, ps (%(default)s)")
+    add("--equilibration", type=float, default=40.0, metavar="T", help="equilibration at the start, ps (%(default)s)")
     add("--duration", type=positive, default=2000.0, metavar="T", help="length of the run after it, ps (%(default)s)")
     add("--seed", type=int, default=0, metavar="S", help="seed of positions and momenta (%(default)s)")
     add("--platform", default="Reference", metavar="NAME", help="OpenMM platform (%(default)s)")
@@ -137,7 +138,7 @@ def simulate(args: argparse.Namespace) -> tuple[np.ndarray, float]:
 
 
 def charges(topology: app.Topology, strength: float, length: float = 0.5) -> np.ndarray:
-    """Return the charges at the ends of the arrows, from the centre C to the tip D, that make the dipoles."""
+    """Return the charges at the centres C and the tips D that represent the dipoles."""
     ends = {"C": -strength / length, "D": strength / length}
     return np.array([ends.get(atom.name, 0.0) for atom in topology.atoms()])
 
@@ -150,7 +151,7 @@ def running(times: np.ndarray, moments: np.ndarray, volume: float, kT: float) ->
 
 
 def known(args: argparse.Namespace) -> list[tuple[str, float, float]]:
-    """Return what there is to compare with: names, values and errors."""
+    """Return names, values and errors of the available reference values."""
     state = args.density, args.temperature, args.dipole2
     if args.core == "lennard-jones" and state in EWALD:
         return EWALD[state]

@@ -2,13 +2,13 @@
 A droplet of dipoles
 ====================
 
-This is the system for which the method was first published: soft spheres that repel each other as :math:`1/r^{12}`,
-each with a point dipole. OpenMM computes the forces, and the rotation is exact. The script writes a trajectory (DCD,
-with its topology as PDB), the energies (CSV, every digit of float64) and a picture of the energy error, and prints the
-cost of the run.
+The method was first published for this system: soft spheres with point dipoles, which repel each other as
+:math:`1/r^{12}`. OpenMM computes the forces, and the rotation is exact. The script writes a trajectory (DCD, with its
+topology as PDB), the energies (CSV, every digit of float64) and a picture of the energy error, and prints the cost of
+the run.
 
-With ``--compare`` it makes two runs from the same start with the same number of force evaluations: one with the exact
-rotation and a scheme of order 4, the other with the usual combination of velocity Verlet and the McLachlan-Reich
+With ``--compare`` the script makes two runs from the same start with the same number of force evaluations: one with the
+exact rotation and a scheme of order 4, the other with the usual combination of velocity Verlet and the McLachlan-Reich
 rotation. This page shows ``python examples/dipole_fluid.py -n 64 --duration 6 --compare``.
 """
 
@@ -43,7 +43,7 @@ KB = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelv
 
 @dataclass
 class Outcome:
-    """What one run leaves behind."""
+    """The results of one run."""
 
     scheme: str
     rotor: str
@@ -81,7 +81,7 @@ def main() -> None:
 
 
 class Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line."""
+    """A parser with one-line error messages."""
 
     def error(self, message: str) -> NoReturn:
         """Exit with one line, without the usage."""
@@ -123,7 +123,7 @@ def parse() -> argparse.Namespace:
 
 
 def number(kind: type, description: str, fits: Callable[[float], bool]) -> Callable[[str], float]:
-    """Return an argparse type that takes the numbers that fit."""
+    """Return an argparse type for numbers within a range."""
 
     def convert(text: str) -> float:
         try:
@@ -210,7 +210,7 @@ def set_momenta(context: openmm.Context, args: argparse.Namespace, integrator: r
 
 
 def report(runs: list[Outcome], out: Path) -> None:
-    """Print what the runs cost and how well they kept the energy."""
+    """Print the cost and the energy error of the runs."""
     print(
         f"\n{'scheme + rotor':<26}{'step':>9}{'forces':>8}{'max error':>11}{'at end':>11}   wall: forces, rotor, rest"
     )
@@ -225,7 +225,7 @@ def report(runs: list[Outcome], out: Path) -> None:
 
 
 def draw(runs: list[Outcome], file: Path) -> None:
-    """Draw the relative energy error over time: as it is, and its size in decades."""
+    """Draw the relative energy error over time, on a linear and on a logarithmic scale."""
     figure, (upper, lower) = plt.subplots(2, figsize=(7.0, 5.6), sharex=True, layout="constrained")
     for run, colour, over in zip(runs, ("#0072B2", "#D55E00"), (2, 1), strict=False):
         label = f"{run.scheme} + {run.rotor}: step {run.h:.2g} ps, {run.evaluations} force evaluations"

@@ -1,4 +1,4 @@
-"""The function of the jobs in the tutorial "A hundred runs": a file next to the script, which workers can import."""
+"""The function of the jobs in the tutorial "A hundred runs", in a file that workers can import."""
 
 import openmm
 

@@ -4,12 +4,11 @@ A nematic liquid crystal by compression
 
 These ellipsoids are three times as long as thick and interact by the Gay-Berne potential GB(3, 5, 2, 1), at kT = 1. A
 barostat compresses them in stages. At the first pressure, the initial lattice of parallel ellipsoids melts into an
-isotropic liquid, in which all directions are equivalent. At the last pressure the liquid is nematic: the axes share a
-direction while the centres have no order. E. de Miguel et al., Mol. Phys. 74, 405 (1991),
-doi:10.1080/00268979100102321, found isotropic, nematic and smectic B phases of this model, the nematic one only above
-kT = 0.8.
+isotropic liquid. At the last pressure the liquid is nematic: the axes are aligned, but the centres are not ordered. E.
+de Miguel et al., Mol. Phys. 74, 405 (1991), doi:10.1080/00268979100102321, found isotropic, nematic and smectic B
+phases of this model, and the nematic phase only above kT = 0.8.
 
-The order parameter S is the largest eigenvalue of Q, the mean of (3 u u - 1)/2 over the axes u: 1 if they are all
+The order parameter S is the largest eigenvalue of Q, the mean of (3 u u - 1)/2 over the axes u: 1 if all axes are
 parallel. If there were layers, the largest density wave of the box with a wavelength from 1.5 to 5 would have an
 amplitude near 1. For comparison, the script prints both numbers for random axes and centres of n ellipsoids.
 
@@ -80,7 +79,7 @@ def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="Ellipsoids of Gay and Berne, compressed to a nematic liquid.")
     add = parser.add_argument
     add("-n", type=int, default=288, metavar="N", help="number of ellipsoids (%(default)s)")
-    add("--pressures", type=float, nargs="+", default=[2.0, 5.0], metavar="P", help="one a stage, reduced")
+    add("--pressures", type=float, nargs="+", default=[2.0, 5.0], metavar="P", help="one per stage, in reduced units")
     add("--duration", type=float, default=600.0, metavar="T", help="length of a stage, ps (%(default)s)")
     add("--seed", type=int, default=0, metavar="S", help="seed of positions, momenta and noise (%(default)s)")
     rb.Run.add_options(parser, "out/ellipsoids")

@@ -3,11 +3,11 @@ Equipartition
 =============
 
 Do translation and rotation of rigid water have the same temperature at long steps? ``LangevinMiddleIntegrator`` reports
-velocities with components along the constraints. A reporter counts them as rotation, which then appears too hot. This
-example measures by how much: it removes these components from the velocities of each frame and compares. Both
-temperatures are of the same frame and fluctuate together, so that 6 ps of 64 molecules are sufficient.
+velocities with components along the constraints. Reporters count these components as rotation, which therefore appears
+too hot. To measure this excess, the example removes the components from the velocities of each frame and compares the
+temperatures. Since both temperatures fluctuate together, 6 ps of 64 molecules are sufficient.
 
-Runs of 1 ns show the rest, which is the error of the splitting. With a force evaluation every 6 fs, rotation and
+Runs of 1 ns show the remaining error, which is that of the splitting. With a force evaluation every 6 fs, rotation and
 translation of SPC/E differ by 3.1 ± 0.3 K after this projection, and by 0.0 ± 0.3 K with the scheme ``W2_3m`` of
 ``ExactRigidBodyLangevinIntegrator``. :doc:`/explanation/temperature` has these measurements.
 """
@@ -34,7 +34,7 @@ integrator.step(500)
 start = context.getState(positions=True, velocities=True)
 
 # %%
-# The kinetic energy of atoms is that of the centres of mass, which is translation, and the rest, which is rotation if
+# The kinetic energy of the atoms is that of the centres of mass (translation) plus a remainder, which is rotation if
 # the molecules are rigid. Three degrees of freedom per molecule belong to rotation.
 
 R = 0.00831446  # kJ/mol/K
@@ -49,7 +49,7 @@ def rotational_temperature(context):
 
 
 def excess(integrator, picoseconds=6.0):
-    """Return by how much rotation appears too hot, as mean and error, from ten blocks of a run."""
+    """Return the excess temperature of rotation and its error, from ten blocks of a run."""
     context, projected = (
         openmm.Context(system, some, openmm.Platform.getPlatform("CPU"))
         for some in (integrator, openmm.VerletIntegrator(0.001))

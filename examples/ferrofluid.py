@@ -2,9 +2,9 @@
 Chains in a ferrofluid
 ======================
 
-Magnetic particles at a volume fraction of 2.6 %, which repel each other except for their dipoles: a WCA fluid with the
-dipoles of all periodic images by an Ewald sum. With lambda = mu²/kT = 8, two particles in contact, head to tail, are
-bound by 15.7 kT. Chains and rings grow from particles that are separate at the start.
+The system consists of magnetic particles at a volume fraction of 2.6 %: repulsive WCA spheres with point dipoles, whose
+periodic images are included by an Ewald sum. With lambda = mu²/kT = 8, two particles in contact, head to tail, are
+bound by 15.7 kT. Initially separate particles form chains and rings.
 
 The picture shows the box at the end, with a colour for each of the largest clusters, and the growth of the mean cluster
 size. Units are reduced: diameter, epsilon and mass of a particle are 1 nm, 1 kJ/mol and 1 amu, and times are in ps.
@@ -97,7 +97,7 @@ def simulate(args: argparse.Namespace) -> tuple[np.ndarray, float]:
 
 
 def clusters(sites: np.ndarray, edge: float, coupling: float) -> tuple[int, np.ndarray, np.ndarray]:
-    """Return the number of clusters, that of each particle, and the pairs that are bound."""
+    """Return the number of clusters, the cluster of each particle, and the bound pairs."""
     u = nearest(sites[:, 1] - sites[:, 0], edge)
     u /= np.linalg.norm(u, axis=1, keepdims=True)
     r = nearest(sites[:, None, 0] - sites[None, :, 0], edge)

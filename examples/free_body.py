@@ -19,9 +19,9 @@ print("attitude", q.round(6))
 print("momentum", m.round(6))
 
 # %%
-# ``q`` is the orientation as a unit quaternion, scalar first, which maps coordinates of the body to those of space;
-# ``m`` is the angular momentum in the frame of the body. In space the angular momentum is constant, as is the kinetic
-# energy.
+# ``q`` is the orientation as a unit quaternion, scalar first, which maps body coordinates to space coordinates; ``m``
+# is the angular momentum in the frame of the body. In the space frame the angular momentum is constant, as is the
+# kinetic energy.
 
 print(f"the momentum in space moved by {np.abs(rotation_matrix(q) @ m - m0).max():.1e}")
 print(f"the kinetic energy changed by {abs((m * m / inertia).sum() / (m0 * m0 / inertia).sum() - 1.0):.1e} of it")
@@ -40,7 +40,7 @@ print(f"a step forth and back by {np.abs(back[1] - m0).max():.1e}")
 
 # %%
 # Arrays with many rows describe many bodies, each with its own moments, momentum and time. Here the rows are one
-# body at many times. It starts by rotating about its middle axis, and turns over again and again.
+# body at many times. It starts rotating about its middle axis, and flips repeatedly.
 
 t = np.linspace(0.0, 60.0, 601)
 _, path = rb.free_rotor(inertia, q0, np.tile([1e-3, 1.0, 1e-3], (len(t), 1)), t)

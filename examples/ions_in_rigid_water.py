@@ -41,7 +41,7 @@ def main() -> None:
 
 
 # %%
-# Force field and System are those of any script. The bodies are found from the constraints; particles without
+# Force field and System are those of an ordinary script. The constraints define the bodies; particles without
 # constraints are ions.
 
 

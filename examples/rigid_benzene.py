@@ -2,10 +2,10 @@
 Molecules made rigid by hand
 ============================
 
-If a force field describes a molecule as flexible, with bonds and angles and no constraint, ``bodies=`` makes it rigid
-nevertheless: the shape is that of the positions at the first step, and forces within the molecule only add a constant
-to the energy. This example is a small cluster of the flexible OPLS-AA benzene. The script writes a trajectory, its
-energies and a picture; ``--resume`` continues after an interruption.
+If a force field describes a molecule as flexible, with bonds and angles and without constraints, ``bodies=`` makes it
+rigid: the positions at the first step define its shape, and forces within the molecule only add a constant to the
+energy. The example is a small cluster of the flexible OPLS-AA benzene. The script writes a trajectory, its energies and
+a picture; ``--resume`` continues after an interruption.
 
 This page shows ``python examples/rigid_benzene.py -n 8 --steps 100``.
 """
@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> None:
 
 
 # %%
-# The force field, flexible as it was published, and the shape and energy of a molecule.
+# The published, flexible force field, and the shape and energy of a molecule.
 
 
 def cluster(n: int) -> tuple[app.Topology, openmm.System]:
@@ -117,7 +117,7 @@ def cluster(n: int) -> tuple[app.Topology, openmm.System]:
 
 
 def measured_molecule() -> np.ndarray:
-    """Return the places of the atoms at the measured bond lengths, which are not those of the force field."""
+    """Return the positions of the atoms for the measured bond lengths, which differ from those of the force field."""
     phi = np.pi / 3 * np.arange(6)
     ring = np.column_stack([np.cos(phi), np.sin(phi), 0.0 * phi])
     return np.vstack([0.1391 * ring, 0.2471 * ring])

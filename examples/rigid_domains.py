@@ -2,10 +2,11 @@
 Rigid domains
 =============
 
-A protein of two folded domains and disordered parts, one bead a residue: hnRNPA1 without a hexapeptide (hnRNPA1*), in
-the CALVADOS 2 model of G. Tesei and K. Lindorff-Larsen, doi:10.12688/openreseurope.14967.2. The domains are rigid, with
-the masses of all their beads, and pairs within them are excluded. The tutorial "Rigid domains" has measurements. The
-script writes a trajectory, its energies and a picture; ``--resume`` continues after an interruption.
+The system is a protein of two folded domains and disordered parts, with one bead per residue: hnRNPA1 without a
+hexapeptide (hnRNPA1*), in the CALVADOS 2 model of G. Tesei and K. Lindorff-Larsen, doi:10.12688/openreseurope.14967.2.
+The domains are rigid, with the masses of all their beads, and pairs within them are excluded. The tutorial "Rigid
+domains" has measurements. The script writes a trajectory, its energies and a picture; ``--resume`` continues after an
+interruption.
 
 This page shows ``python examples/rigid_domains.py --steps 200``.
 """
@@ -30,7 +31,7 @@ import matplotlib.pyplot as plt
 
 _HERE = Path(globals().get("__file__", sys.argv[0])).resolve().parent  # the gallery sets no __file__
 
-# Of each residue the mass (amu), the stickiness lambda, the diameter sigma (nm) and the charge (e).
+# For each residue, the mass (amu), the stickiness lambda, the diameter sigma (nm) and the charge (e).
 RESIDUES = {
     "R": (156.19, 0.7307624767517166, 0.656, 1.0),
     "D": (115.09, 0.0416040480605567, 0.558, -1.0),
@@ -151,7 +152,7 @@ def calvados2(sequence: str, temperature: float, ionic: float) -> openmm.System:
 
 
 def start() -> np.ndarray:
-    """Return positions (nm): residues 11 to 179 as they are predicted, and two coils that keep away from them."""
+    """Return positions (nm): the predicted ones of residues 11 to 179, and two coils that avoid them."""
     known = np.loadtxt(_HERE / "data" / "hnrnpa1_domains.csv", delimiter=",")[:, 1:]
     before = coil(known, known[0], 10)[::-1]
     known = np.vstack([before, known])
@@ -159,7 +160,7 @@ def start() -> np.ndarray:
 
 
 def coil(others: np.ndarray, first: np.ndarray, n: int) -> np.ndarray:
-    """Return a helix of n places, `BOND` apart, from a place on: of many orientations the farthest from the others."""
+    """Return a helix of n positions, `BOND` apart, from a position on, oriented farthest from the others."""
     turn, rise = 0.36, 0.05  # a turn of 1 nm in radius, 0.9 nm above the one before
     radius = np.sqrt(BOND**2 - rise**2) / (2.0 * np.sin(0.5 * turn))
     angle = turn * np.arange(1, n + 1)
@@ -171,7 +172,7 @@ def coil(others: np.ndarray, first: np.ndarray, n: int) -> np.ndarray:
 
 
 def radius_of_gyration(system: openmm.System, x: np.ndarray) -> float:
-    """Return it in nm, weighted by mass."""
+    """Return the mass-weighted radius of gyration in nm."""
     masses = np.array([system.getParticleMass(k)._value for k in range(len(x))])
     arms = x - masses @ x / masses.sum()
     return float(np.sqrt(masses @ (arms**2).sum(axis=1) / masses.sum()))

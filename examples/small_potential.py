@@ -3,10 +3,10 @@ Where the potential is small
 ============================
 
 If the torques are weak, a body rotates almost freely, and the exact flow does almost all of the work. Schemes for this
-case make the error of first order in the potential very small; they require an exact free flow.
+case have a very small error of first order in the potential, and require an exact free flow.
 
-This example measures the energy error of heavy tops whose potential energy is a thousandth of their kinetic energy,
-over 50 units of time: the median over 20 tops of the largest relative error.
+This example measures the median over 20 heavy tops of the largest relative energy error over 50 units of time, for a
+potential energy of a thousandth of the kinetic energy.
 """
 
 import matplotlib.pyplot as plt
@@ -36,7 +36,7 @@ def energy(q, m):
 
 
 def run(q, m, scheme, h, steps):
-    """Return attitudes and momenta after some steps of a scheme, between its processor and the inverse of it."""
+    """Return orientations and momenta after some steps of a scheme, between its processor and its inverse."""
     for substep, part in scheme.processor + steps * scheme.sequence + scheme.postprocessor:
         if substep.kicks:
             u = seen(q)

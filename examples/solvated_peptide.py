@@ -2,8 +2,8 @@
 A peptide in rigid water
 ========================
 
-From a PDB file to a trajectory: alanine dipeptide with constrained bonds to hydrogen, in a box of rigid water. A step
-of 4 fs evaluates the nonbonded forces once; bonds, angles and torsions have steps of their own within it. The script
+This script leads from a PDB file to a trajectory, for alanine dipeptide with constrained bonds to hydrogen in a box of
+rigid water. A step of 4 fs evaluates the nonbonded forces once; bonds, angles and torsions have inner steps. The script
 writes a trajectory and its energies, and draws the total energy. After an interruption the same command with
 ``--resume`` continues.
 
@@ -31,8 +31,8 @@ PEPTIDE = Path(sys.argv[0]).resolve().parent / "data" / "alanine_dipeptide.pdb"
 
 
 # %%
-# One line belongs to this package. With one evaluation of the nonbonded forces every 4 fs, the integrator gives bonded
-# forces inner steps.
+# One line is specific to this package. With one evaluation of the nonbonded forces every 4 fs, bonded forces have inner
+# steps.
 
 
 def nve() -> rb.ExactRigidBodyIntegrator:
@@ -40,8 +40,8 @@ def nve() -> rb.ExactRigidBodyIntegrator:
 
 
 # %%
-# Force field and System are those of any script. Water is found to be rigid, and the groups of the peptide that
-# constraints hold, such as CH\ :sub:`3`, move along them without any tolerance.
+# Force field and System are those of an ordinary script. Water is found to be rigid; constrained groups of the peptide,
+# such as CH\ :sub:`3`, move along their constraints without any tolerance.
 
 
 def run(args: argparse.Namespace) -> None:

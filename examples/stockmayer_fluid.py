@@ -74,7 +74,7 @@ def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="The structure and the dielectric constant of a Stockmayer fluid.")
     add = parser.add_argument
     add("-n", type=int, default=1000, metavar="N", help="number of dipoles (%(default)s)")
-    add("--equilibration", type=float, default=15.0, metavar="T", help="left out at the start, ps (%(default)s)")
+    add("--equilibration", type=float, default=15.0, metavar="T", help="equilibration at the start, ps (%(default)s)")
     add("--duration", type=float, default=200.0, metavar="T", help="length of the run after it, ps (%(default)s)")
     add("--seed", type=int, default=0, metavar="S", help="seed of positions, momenta and noise (%(default)s)")
     add("--draw", type=Path, metavar="FILE", help="draw a file structure.csv again, without a run")
@@ -118,7 +118,7 @@ def simulate(args: argparse.Namespace, job: rb.Run) -> tuple[np.ndarray, np.ndar
 
 
 def correlations(frames: np.ndarray, edge: float, width: float = 0.02) -> tuple[np.ndarray, ...]:
-    """Return distances, g(r), h110(r), and the sum of cosines up to each distance, 1 of the dipole itself included."""
+    """Return distances, g(r), h110(r), and the sum of cosines up to each distance, with 1 for the dipole itself."""
     bounds = np.arange(0.8, 0.5 * edge, width)
     pairs, cosines = np.zeros(len(bounds) - 1), np.zeros(len(bounds) - 1)
     for sites in frames:

@@ -3,10 +3,10 @@ A box of rigid water
 ====================
 
 This is an ordinary OpenMM script, with a force field, PME, a Simulation and a DCDReporter. Only the line of the
-integrator changes, and with it the energy error. The script simulates the same box from the same start once with
-OpenMM's ``VerletIntegrator`` and once with :class:`openmm_exactrb.ExactRigidBodyIntegrator`, both with one force
-evaluation every 2 fs. It writes a trajectory (DCD with its topology as PDB), the energies and a picture of the energy
-error. After an interruption the same command with ``--resume`` continues.
+integrator changes. The script simulates the same box from the same start once with OpenMM's ``VerletIntegrator`` and
+once with :class:`openmm_exactrb.ExactRigidBodyIntegrator`, both with one force evaluation every 2 fs. It writes a
+trajectory (DCD with its topology as PDB), the energies and a picture of the energy error. After an interruption the
+same command with ``--resume`` continues.
 
 This page shows ``python examples/water_box.py --duration 2``.
 """
@@ -46,7 +46,7 @@ def parse() -> argparse.Namespace:
     add = parser.add_argument
     add("--pdb", type=Path, help="a PDB file of water (216 molecules that the script makes)")
     add("--scheme", choices=rb.SCHEMES, default="W4_4", metavar="NAME", help=f"{', '.join(rb.SCHEMES)} (%(default)s)")
-    add("--force-interval", type=float, default=2.0, metavar="FS", help="time a force evaluation, fs (%(default)s)")
+    add("--force-interval", type=float, default=2.0, metavar="FS", help="time per force evaluation, fs (%(default)s)")
     add("--duration", type=float, default=4.0, metavar="PS", help="length of the run, ps (%(default)s)")
     add("--platform", default="CPU", metavar="NAME", help="OpenMM platform (%(default)s)")
     rb.Run.add_options(parser, "out/water_box")
@@ -54,9 +54,8 @@ def parse() -> argparse.Namespace:
 
 
 # %%
-# Two settings of the System matter as much as the integrator, because they would hide it: ``switchDistance``, without
-# which a molecule that crosses the cutoff changes the energy in a jump, and ``ewaldErrorTolerance``, whose default
-# leaves forces that are not the gradient of the energy.
+# Two settings of the System matter as much as the integrator: without ``switchDistance``, the energy jumps when a
+# molecule crosses the cutoff, and with the default ``ewaldErrorTolerance``, forces are not the gradient of the energy.
 
 
 def run(args: argparse.Namespace) -> None:
@@ -106,7 +105,7 @@ def run(args: argparse.Namespace) -> None:
 
 
 def read_box(file: Path) -> app.PDBFile:
-    """Read a PDB file that is whole."""
+    """Read a complete PDB file."""
     try:
         if not any(line.startswith("END") for line in file.read_text(encoding="utf-8").splitlines()):
             raise ValueError("it has no END line")
@@ -126,7 +125,7 @@ def make_box() -> app.Modeller:
 def start_of(
     job: rb.Run, resume: bool, pdb: app.PDBFile | app.Modeller, system: openmm.System, platform: openmm.Platform
 ) -> openmm.State:
-    """Return a canonical start, the same for both runs and after an accident."""
+    """Return a canonical start, which both runs and a resumed run share."""
     file = job.folder / "start.xml"
     if resume and file.exists():
         try:

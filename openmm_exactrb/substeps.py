@@ -29,8 +29,8 @@ Matrix = tuple[tuple[Any, Any], tuple[Any, Any]]
 class Substep:
     """A part of a step.
 
-    For a substep of your own, derive a frozen dataclass and use it in the sequence of a `Scheme`. It needs no
-    registration. Substeps are compared by value.
+    For a custom substep, derive a frozen dataclass and use it in the sequence of a `Scheme`. It needs no registration.
+    Substeps are compared by value.
 
     Attributes
     ----------

@@ -52,7 +52,7 @@ class Thermostat(ABC):
     heat : str or None
         The persistent number in which the energy supplied to the bodies is accumulated.
     factors : Factors, optional
-        The device kernel that computes the factors by which an exchange multiplies momenta, if it does so.
+        If an exchange multiplies momenta by factors, the device kernel that computes them.
     scheme : str
         The default scheme of an integrator with it: "BAOA", the splitting of LangevinMiddleIntegrator, which
         evaluates forces once per step. A deterministic thermostat needs a scheme that is symmetric in time.

@@ -2,10 +2,10 @@
 The energy error of all schemes
 ===============================
 
-All schemes of the catalogue on one problem: heavy tops whose potential energy is as large as their kinetic energy. A
-row shows the largest energy error of one scheme at four costs. Further to the left is better, and the distance between
-the dots grows with the order. Schemes with several orders reach the higher ones only if the potential is small, which
-it is not here. New schemes get a row automatically.
+The picture shows all schemes of the catalogue on one problem: heavy tops whose potential energy is as large as their
+kinetic energy. Each row shows the largest energy error of one scheme at four costs. Further to the left is better, and
+the distance between the dots grows with the order. Schemes with several orders reach the higher orders only if the
+potential is small, unlike here.
 """
 
 import matplotlib.pyplot as plt
@@ -33,8 +33,7 @@ def largest_error(scheme, per_time):
 errors = {name: [largest_error(scheme, k) for k in evaluations] for name, scheme in rb.SCHEMES.items()}
 
 # %%
-# Each scheme has a row. Rows are sorted by order, and within an order by the error at the largest number of
-# evaluations. Further to the left is better.
+# Rows are sorted by order, and within an order by the error at the largest number of evaluations.
 
 names = sorted(errors, key=lambda name: (rb.SCHEMES[name].order, -errors[name][-1]), reverse=True)
 colours = plt.get_cmap("viridis_r")(np.linspace(0.15, 1.0, len(evaluations)))

@@ -28,7 +28,7 @@ bonds = np.array([[a.index, b.index] for a, b in topology.bonds()])
 centres, tips = x[bonds[:, 0]], x[bonds[:, 1]]
 directions = tips - centres
 directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-# The energy of each pair in kJ/mol; mu² = 2. A pair head to tail at its best distance has -2.6.
+# The energy of each pair in kJ/mol; mu² = 2. The minimum for a pair head to tail is -2.6.
 r = centres[:, None] - centres
 d = np.linalg.norm(r, axis=2) + np.eye(n)
 pair = 2.0 * np.einsum("ik,jk->ij", directions, directions) / d**3 + 4.0 / d**12

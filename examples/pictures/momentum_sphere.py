@@ -18,13 +18,13 @@ inertia = np.array([1.0, 1.88, 2.88])
 
 
 def orbit(start, duration):
-    """Return one orbit (n, 3), every point by one call of the exact flow from the start; back in time too."""
+    """Return one orbit (n, 3), forwards and backwards in time, each point by one call from the start."""
     t = np.linspace(-duration / 2, duration / 2, 2401)
     return rb.free_rotor(inertia, [1.0, 0.0, 0.0, 0.0], np.tile(start, (len(t), 1)), t)[1]
 
 
 def draw_curve(axes, points, colour, label=None, width=1.4, style="-"):
-    """Draw a curve on the sphere: what is behind, faintly."""
+    """Draw a curve on the sphere, with the hidden part fainter."""
     front = points @ eye(axes) > 0.0
     seen, hidden = (np.where(where[:, None], points, np.nan) for where in (front, ~front))
     axes.plot(*(1.004 * seen.T), color=colour, lw=width, ls=style, label=label)
@@ -32,7 +32,7 @@ def draw_curve(axes, points, colour, label=None, width=1.4, style="-"):
 
 
 # %%
-# Two families, and what is between them.
+# Two families of curves, and the separatrix between them.
 
 figure = plt.figure(figsize=(7.0, 6.6), layout="constrained")
 axes = draw_sphere(figure.add_subplot(projection="3d", computed_zorder=False), azimuth=40.0, elevation=22.0, zoom=1.1)

@@ -1,7 +1,7 @@
 """Corrections of averages for the step size, of second order, with their errors.
 
 Let f be the generalised force, f_s that of the forces in the kicks (all of them without inner steps), S = f_s·M⁻¹f_s
-and W = f·M⁻¹f_s. The error that a splitting of steps h gives the average of an observable A of the positions is
+and W = f·M⁻¹f_s. The error that a splitting with steps h causes in the average of an observable A of the positions is
 
     h² {-(alpha + beta) Cov(A, S)/kT - kappa <grad A · M⁻¹f_s> + J},
 
@@ -149,7 +149,7 @@ def corrected(
         wanted = plain(pressure, unit.bar, "a pressure")
         settings, excess = replace(settings, pressure=wanted), settings.pressure - wanted
     if settings.barostat and "pressure" not in columns:
-        raise ValueError(f"corrections at constant pressure need the pressure: report {file} with pressure=True")
+        raise ValueError("corrections at constant pressure need the pressure: set pressure=True in the AverageReporter")
     if local and "square around" not in columns:
         raise ValueError(
             f"{file} has no curvature around particles: create the AverageReporter with around=(particles, distance)"

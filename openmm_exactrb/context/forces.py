@@ -126,7 +126,7 @@ class SlowGroups(ContextForces):
 
 
 class Remainder(EvaluatedForces):
-    """All forces minus the fast forces on selected bodies, in a Context of their own.
+    """All forces minus the fast forces on selected bodies, which have their own Context.
 
     The sum of both equals all forces for any choice of fast forces, so the System is not modified.
     """

@@ -134,7 +134,9 @@ def _named_bodies(system: openmm.System, masses: Array, bodies: Sequence[Sequenc
     owner = checks.owners(bodies, len(masses))
     for particle in map(int, np.flatnonzero((owner >= 0) & (masses == 0.0))):
         if not system.isVirtualSite(particle):
-            raise ValueError(f"particle {particle} of body {owner[particle]} has no mass: set one, or omit it")
+            raise ValueError(
+                f"particle {particle} of body {owner[particle]} has no mass: set a mass, or omit the particle"
+            )
     named = []
     for number, body in enumerate(bodies):
         particles = np.array(sorted(body), dtype=np.intp)

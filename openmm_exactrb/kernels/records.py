@@ -34,7 +34,7 @@ class Graph(NamedTuple):
 
 
 class Bodies(NamedTuple):
-    """Bodies, of which those that turn come first."""
+    """Bodies; those that rotate come first."""
 
     mass: F1  #: (N,)
     moments: F2  #: of those that turn (3, 1) or (3, K)
@@ -42,7 +42,7 @@ class Bodies(NamedTuple):
 
 
 class Particles(NamedTuple):
-    """The particles of bodies, one body behind the other."""
+    """The particles of bodies, one body after the other."""
 
     starts: I1  #: the first particle of each body (N + 1,)
     rows: I1  #: of the particles in arrays (n, 3) of all of a System

@@ -30,7 +30,7 @@ def renewed(x: Array, high: Array) -> Array:
 
 
 def keep_norm(m1: Array, m: Array, square: Array) -> Array:
-    """Give momenta m1 (3, N), in place, the norm of m, from which theirs differs by roundoff; `square` is m.m.
+    """Correct the norm of momenta m1 (3, N), in place, to that of m, equal up to roundoff; `square` is m.m.
 
     The difference of the squares, computed as (m - m1).(m + m1), is small and its rounding is unbiased. The rounding of
     1 - m1.m1/m.m is biased, because floating-point numbers are denser below one than above, and would make the norm

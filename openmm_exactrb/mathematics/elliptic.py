@@ -79,7 +79,7 @@ def third_kind(v: Array, kc2: Array, c: Array, b: Array, w: Array, cn: Array, dn
 
     Notes
     -----
-    Within half a period it is b/3 w³ R_J(cn², dn², 1, 1 + b w²) with Carlson's R_J (DLMF 19.25.14), and it is
+    Within half a period the integral is b/3 w³ R_J(cn², dn², 1, 1 + b w²) with Carlson's R_J (DLMF 19.25.14), and
     elementary if kc = 0.
     """
     separatrix = kc2 == 0.0
@@ -107,8 +107,8 @@ def carlson_rj(x: Array | float, y: Array, p: Array) -> Array:
     -----
     The function of scipy, except for two limits. For large p, scipy omits the last term of 3/p (R_F - pi/(2 sqrt(p)) +
     2 R_G/p), which is up to 1e-13 of the whole; the next one is of order p^-3/2 (DLMF 19.27.11-13). If x y is not a
-    normal number, it is wrong by up to 1e-3; the result is then 3/p (log(4/(sqrt(x) + sqrt(y))) - R_C(1, p)), which is
-    R_J(x', x', 1, p) with x' between x and y.
+    normal number, scipy's result is wrong by up to 1e-3; here the result is 3/p (log(4/(sqrt(x) + sqrt(y))) - R_C(1,
+    p)), which is R_J(x', x', 1, p) with x' between x and y.
     """
     from scipy.special import elliprc, elliprf, elliprg, elliprj  # here, for a short import of the package
 

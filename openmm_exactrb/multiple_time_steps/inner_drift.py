@@ -1,8 +1,8 @@
 """Drifts with fast forces within them, in a Context: the inner steps of multiple time stepping.
 
 M. Tuckerman, B. J. Berne and G. J. Martyna, J. Chem. Phys. 97, 1990 (1992), doi:10.1063/1.463137: the drift of the
-outer scheme is the flow of the kinetic energy and of a potential, which has a splitting of its own. Bodies on which
-this potential does not act have a single drift.
+outer scheme is the flow of the kinetic energy and of a potential, and is itself split. Bodies on which this potential
+does not act have a single drift.
 """
 
 from __future__ import annotations
@@ -141,9 +141,9 @@ def _followed_by(notice: Callable[[], None], drift: Flow[State]) -> Flow[State]:
 
 
 class ExcerptPositions(Positions):
-    """Positions of an excerpt in a Context of its own, with box, parameters and massless particles of the whole.
+    """Positions of an excerpt in its own Context, with box, parameters and massless particles of the whole System.
 
-    They are updated whenever those of the whole have changed, except by the excerpt's own drift.
+    They are updated whenever those of the whole System have changed, except by the excerpt's own drift.
     """
 
     def __init__(self, excerpt: Excerpt, sync: Synchronisation) -> None:
@@ -156,7 +156,7 @@ class ExcerptPositions(Positions):
 
     @property
     def version(self) -> int:
-        """The version, which follows that of the positions of the whole."""
+        """The version, which follows that of the positions of the whole System."""
         if self._seen != self._whole.version:
             self.keep_up()
             self._count += 1
@@ -170,5 +170,5 @@ class ExcerptPositions(Positions):
         self._count = count
 
     def keep_up(self) -> None:
-        """Record that the present positions are those of the whole."""
+        """Record that the present positions agree with the whole System."""
         self._seen = self._whole.version

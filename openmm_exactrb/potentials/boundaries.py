@@ -1,6 +1,6 @@
 """Boundary conditions of dipoles: none, a dielectric beyond a cutoff, or all periodic images.
 
-A switch S ends the energy of pairs of nearest images at the cutoff; the spheres have a switch of their own, see
+A switch S ends the energy of pairs of nearest images at the cutoff; the spheres have a separate switch, see
 `openmm_exactrb.potentials.spheres`. S is proportional to the integral of (s (1 - s))^6 from 0 to s, where s runs from 1
 to 0 in r² between `switch` and `cutoff`: forces have five continuous derivatives, which schemes of order 6 need.
 """

@@ -66,7 +66,7 @@ def soft_dipole_force(
         sigma, or half the shortest edge of the box if that is less; the switch begins at three quarters of the cutoff.
         A barostat that shrinks the box below twice a cutoff ends the run: pass shorter cutoffs if you use one.
     shifted : bool
-        Whether the energy of two spheres at the cutoff is subtracted from it, before the switch.
+        Whether to subtract the energy of two spheres at the cutoff from their energy, before the switch.
     kernel : {"auto", "openmm", "bonds", "compiled"}
         Type of the force. "auto" or "compiled": a kernel in double precision on all cores, about fifty times faster on
         a CPU. "openmm": a `CustomHbondForce` if there is a cutoff, which OpenCL, CUDA and HIP evaluate on the device.

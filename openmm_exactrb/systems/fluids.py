@@ -139,7 +139,7 @@ def dipole_fluid(
         3 sigma, or half the box if that is less; the switch begins at three quarters of the cutoff. Both are
         independent of the cutoff of the dipoles, which belongs to the boundary.
     shifted : bool
-        Whether the energy of two spheres at their cutoff is subtracted from it.
+        Whether to subtract the energy of two spheres at the cutoff from their energy.
     long_range_correction : bool, optional
         Whether a second force adds the mean contribution of spheres beyond the cutoff to energy and pressure. By
         default it does, unless the potential is shifted or ends at its minimum (`wca`).

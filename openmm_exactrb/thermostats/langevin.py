@@ -111,7 +111,7 @@ def _rate(friction: Any) -> float:
 def ornstein_uhlenbeck(
     mass: Array, moments: Array, kT: float, friction: float | Array, rotational_friction: float | Array
 ) -> Exchange:
-    """Prepare the exact flow of dP = -g P dt + sqrt(2 g M kT) dW, and of m with I and a friction of its own.
+    """Prepare the exact flow of dP = -g P dt + sqrt(2 g M kT) dW, and that of m with I and its own friction.
 
     It is P <- a P + sqrt((1 - a²) kT M) xi with a = exp(-g tau). Two successive flows equal one over the sum of their
     times, and the Maxwell-Boltzmann distribution is invariant. For splittings with this flow see B. Leimkuhler and C.
@@ -148,8 +148,8 @@ _Fading = Callable[[float], tuple[Array, Array] | None]
 def _fading(friction: float | Array, width: Array) -> _Fading:
     """Return a function of tau for exp(-g tau) - 1 and the standard deviation of the noise; None if nothing changes.
 
-    The factor minus 1 is used because rounding errors of a change of momenta vanish together with the friction. One
-    friction and many are computed by the same function, so that they give the same bits.
+    The factor minus 1 is used because rounding errors of a change of momenta vanish together with the friction. A
+    single friction and an array of frictions use the same function, so that their results are bit-identical.
     """
     rates, kinds = np.unique(friction, return_inverse=True)
     kinds = kinds.reshape(np.shape(friction))

@@ -78,7 +78,7 @@ def rescaling(
 ) -> Exchange:
     """Prepare the exact flow of stochastic velocity rescaling; `time` is the paper's tau.
 
-    The total energy less the heat is the paper's effective energy: it is conserved as well as the total energy of the
+    The total energy minus the heat is the paper's effective energy: it is conserved as well as the total energy of the
     splitting without a thermostat. Momenta that are all zero have no direction and stay zero.
     """
 

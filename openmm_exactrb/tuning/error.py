@@ -20,8 +20,8 @@ _SIGNIFICANT = 4.0
 def expected_error(energies: Array, interval: float, horizon: float) -> float:
     """Extrapolate the standard deviation of an energy to a longer run.
 
-    A significant drift is extrapolated linearly. The variance of the rest within windows of 1/8, 1/4, 1/2 and all of
-    the run is fitted by a power of their length and extrapolated to the horizon. The power is kept between 0 (the
+    A significant drift is extrapolated linearly. The variance of the remainder within windows of 1/8, 1/4, 1/2 and all
+    of the run is fitted by a power of their length and extrapolated to the horizon. The power is kept between 0 (the
     energy oscillates about a mean) and 1 (it is a random walk). A single run determines a random walk poorly, so its
     contribution is increased by up to a half; how often longer runs still exceed the result is tabulated in the
     documentation ("How long advice holds").

@@ -51,7 +51,7 @@ class Segment:
     behind : float
         The fraction of the drift of bodies with inner steps that ends here with its last inner kick due, or 0.
     leaves : bool
-        Whether the last inner kick of its own last drift is due in the next segment.
+        Whether the last inner kick of its last drift is due in the next segment.
     places : bool
         Whether positions are written although nothing moves.
     copied : bool
@@ -235,7 +235,7 @@ class Table:
         return move.op + self.own.index(move.text) if move.op == Op.OWN else move.op
 
     def declare(self, to: Program, exchange_numbers: int) -> None:
-        """Declare the arrays after all segments are known; a heat exchange has a given count of numbers, and tau."""
+        """Declare the arrays once all segments are known, for a count of numbers per heat exchange besides tau."""
         _, numbers = self.values(1.0, lambda tau: (0.0,) * exchange_numbers)
         to.array(self.MOVES, _COLUMNS * len(self._moves), element=4)
         to.array(self.NUMBERS, len(numbers))

@@ -24,7 +24,7 @@ def turned(Q, b):
 
 @inlined
 def torque_of(Q, b, F):
-    """Return b x (transposed Q) F, the torque in the body of a force F in space."""
+    """Return b x (transposed Q) F, the body-frame torque of a force F in space."""
     f0 = Q[0] * F[0] + Q[3] * F[1] + Q[6] * F[2]
     f1 = Q[1] * F[0] + Q[4] * F[1] + Q[7] * F[2]
     f2 = Q[2] * F[0] + Q[5] * F[1] + Q[8] * F[2]

@@ -1,10 +1,10 @@
 """Forces of bonds, angles, torsions, maps of two torsions and pairs of atoms, compiled.
 
 Each term depends on one coordinate: a distance, an angle or a torsion. Terms are computed in blocks, one per lane, by
-vectorised loops: positions are gathered, replaced by the forces for -dV/d(coordinate) = 1, and these are scaled and
+vectorised loops: positions are gathered and replaced by the forces for -dV/d(coordinate) = 1, which are then scaled and
 added to the forces on the particles.
 
-The gradient of a torsion is that of A. Blondel and M. Karplus, J. Comput. Chem. 17, 1132 (1996),
+The gradient of a torsion follows A. Blondel and M. Karplus, J. Comput. Chem. 17, 1132 (1996),
 doi:10.1002/(SICI)1096-987X(19960715)17:9<1132::AID-JCC5>3.0.CO;2-T.
 """
 

@@ -40,7 +40,7 @@ def cells(edges: tuple[float, float, float], end: float) -> Cells | None:
 def near_pairs(arrows: Array, n: int, m: Cells, law: tuple[Any, ...], threads: int) -> tuple[float, Array, Array]:
     """Return energy, forces and fields (3, n) of the pairs of the first n `arrows` (6, n) within a truncation.
 
-    The law is what `pair` takes behind the products of the vectors, the truncation the last.
+    The law contains the arguments that `pair` takes after the products of the vectors, the truncation last.
     """
     heads, dipoles, placed = _sorted(arrows, n, m, law[-1])
     energies, partial = np.empty(n), np.zeros((int(_ROWS) * n, _LANES))
@@ -72,7 +72,7 @@ def _sorted(arrows, n, m, truncation):
 
 @at_first_call
 def by_cell(cell, cells):
-    """Return where each of the cells begins in the dipoles sorted by their cell (n,), and these dipoles."""
+    """Return the start of each cell among the dipoles sorted by their cell (n,), and these dipoles."""
     heads, dipoles = np.zeros(cells + 1, np.int64), np.empty(len(cell), np.int64)
     for i in range(len(cell)):
         heads[cell[i] + 1] += 1
@@ -122,9 +122,9 @@ def _partners(cell, block, heads, placed, m, truncation, found, who):
 
 @inner_reordered
 def _arithmetic(k, u, work, repulsion, coupling, attraction, minimum, alpha, truncation):
-    """Return the energy of a dipole u with k others, and its force and field; leave what these get in `work`.
+    """Return the energy of a dipole u with k others, and its force and field; those of the others are left in `work`.
 
-    The rows of `work` are r² and the vector r to the other, the other's u, then force and field.
+    The rows of `work` are r², the vector r to the other dipole, its u, and its force and field.
     """
     ux, uy, uz = u
     energy = fx = fy = fz = gx = gy = gz = 0.0

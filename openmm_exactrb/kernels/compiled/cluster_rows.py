@@ -1,6 +1,6 @@
 """Operations of `clusters` on blocks of L clusters.
 
-A block holds a vector of each atom or constraint as a row of 3 L numbers, component by component, and a number of each
+A block stores a vector per atom or constraint as a row of 3 L numbers, component by component, and a number per
 constraint as a row of L. Innermost loops along such rows are vectorised.
 """
 
@@ -131,7 +131,7 @@ def solve(A, rows, columns, b):
 
 @inner_reordered
 def differences(a, pairs, scale, u):
-    """Write scale (a_i - a_j) of every pair of atoms."""
+    """Write scale (a_i - a_j) for every pair of atoms."""
     for c in range(len(pairs)):
         i, j = pairs[c, 0], pairs[c, 1]
         for l in range(u.shape[1]):
@@ -160,14 +160,14 @@ def add_scaled(x, scale, factor, y):
 
 @inner_reordered
 def add_products(a, b, out):
-    """Add a b of rows of equal length."""
+    """Add the products a b of rows of equal length."""
     for i in range(len(out)):
         out[i] += a[i] * b[i]
 
 
 @inner_reordered
 def dots(a, b, out):
-    """Write a.b of vectors (m, 3 L) as numbers (m, L)."""
+    """Write the products a.b of vectors (m, 3 L) as numbers (m, L)."""
     L = out.shape[1]
     for c in range(len(out)):
         for l in range(L):
@@ -195,7 +195,7 @@ def of_each_component(b, a):
 
 @inner_reordered
 def multiples(b, r, out):
-    """Write b r of numbers (m, L) and vectors (m, 3 L)."""
+    """Write the products b r of numbers (m, L) and vectors (m, 3 L)."""
     L = b.shape[1]
     for c in range(len(b)):
         for e in range(3):

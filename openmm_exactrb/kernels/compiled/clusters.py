@@ -15,8 +15,8 @@ The multipliers follow from r_c.r_c = d_c², order by order, with one matrix A_c
     q_c = sum_(0 < j < k + 2) r_c,j . r_c,k+2-j / 2.
 
 A is factorised once per drift. With the same factor the rounding errors of the initial positions, (d_c² - r_c.r_c)/2,
-and momenta, r_c.r_c', are corrected. A drift therefore starts with the projection of the momentum, and kicks before it
-need none.
+and momenta, r_c.r_c', are corrected. A drift therefore starts with the projection of the momentum, which kicks need not
+perform.
 
 Clusters of one kind are advanced in blocks, see `cluster_rows`. State arrays x and p are double-doubles (2, 3, M), or
 plain numbers (1, 3, M); atom a of cluster i is column first + a count + i.
@@ -129,7 +129,7 @@ def _add_terms(F, of_push, of_shift, push, shift):
 
 @inner_reordered
 def _still_large(r, k, bound):
-    """Return whether a term of order k is above its bound; nan is not."""
+    """Return whether a term of order k is above its bound; False for nan."""
     r, bound, count = r.reshape(-1), bound.reshape(-1), 0
     for i in range(len(bound)):
         if k * abs(r[i]) > bound[i]:
@@ -209,7 +209,7 @@ def _step(X, P, t, graph, work):
 
 @inner
 def _give_up(X, P, work):
-    """Set clusters to nan whose series have not converged."""
+    """Set clusters whose series have not converged to nan."""
     r, bound = work.r, work.bound
     L = bound.shape[1] // 3
     for c in range(len(bound)):
@@ -224,7 +224,7 @@ def _give_up(X, P, work):
 def advance(x, p, t, moves, first, count, graph, x1, p1):
     """Write the positions and momenta of the clusters of a kind after the time t.
 
-    A cluster becomes nan if a number is not finite, its positions are singular, or it is too fast.
+    A cluster becomes nan if a number is not finite, its positions are singular, or its motion is too fast.
 
     The kind has `count` clusters from column `first` on. Unless it `moves`, only the momenta are projected, so that
     r_c.r_c' = 0. The results x1 and p1 may overwrite x and p.

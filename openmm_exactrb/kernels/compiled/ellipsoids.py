@@ -1,4 +1,4 @@
-"""The sum over uniaxial ellipsoids with the potential of Gay and Berne, mu = 2 and nu = 1."""
+"""The sum over uniaxial ellipsoids with the Gay-Berne potential, mu = 2 and nu = 1."""
 
 import numpy as np
 
@@ -48,7 +48,7 @@ def _nearest(x, i, j, box):
 def gay_berne(x, box, law, forces, energy):
     """Write forces (kJ/mol/nm) and energy (1,) (kJ/mol) of ellipsoids with centres and axes x in a box, in nm.
 
-    The law (7,) is chi, chi', diameter and shift (nm), 4 epsilon (kJ/mol), cutoff and begin of the switch (nm).
+    The law (7,) is chi, chi', diameter and shift (nm), 4 epsilon (kJ/mol), cutoff and start of the switch (nm).
     """
     n = len(x) // 2
     chi, chi_prime, sigma, shift, scale, cutoff, begin = law

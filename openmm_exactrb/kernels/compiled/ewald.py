@@ -30,8 +30,8 @@ def reciprocal_space(
     """Return the energy of dipoles u (3, n) at r (3, n) and its negative derivatives by r and u: forces and fields.
 
     Each dipole is in the Gaussian clouds of inverse width `alpha` of all others, in all images of a rectangular box
-    with these `edges`, and a medium of the relative permittivity `dielectric` around them. Results are bit-identical
-    for any number of threads.
+    with these `edges`, surrounded by a medium of relative permittivity `dielectric`. Results are bit-identical for any
+    number of threads.
     """
     weights, counts = _spectrum(edges, alpha, k_max)
     kx, ky, kz = (_wave_numbers(edge, k_max) for edge in edges)
@@ -47,7 +47,7 @@ def reciprocal_space(
 
 
 def uniform_field(u: Array, edges: Edges, alpha: float, dielectric: float) -> Array:
-    """Return the fields (3, n) of the surface of the sample, and what takes a dipole out of its own cloud."""
+    """Return the fields (3, n) of the surface of the sample, and the field correction for its own cloud."""
     own = 4.0 * alpha**3 / (3.0 * math.sqrt(math.pi)) * u
     own -= 4.0 * math.pi / ((2.0 * dielectric + 1.0) * math.prod(edges)) * u.sum(axis=1, keepdims=True)
     return own
@@ -59,7 +59,7 @@ def _wave_numbers(edge: float, k_max: float) -> Array:
 
 @lru_cache(maxsize=2)  # a barostat goes back and forth between two boxes
 def _spectrum(edges: Edges, alpha: float, k_max: float) -> tuple[Array, NDArray[np.int64]]:
-    """Return weights W of the products of waves along x, y and z, and how many along z each of the others has.
+    """Return weights W of the products of waves along x, y and z, and the number of waves along z for each.
 
     Along an axis, waves alternate between the cosine and the sine of each wave number; each nonzero one also represents
     its opposite. The second wave is sin 0 = 0.

@@ -36,7 +36,7 @@ def _mean_energy(P, m, mass, moments):
 
 @inner
 def _move_clusters(R, P, t, kinds, graphs):
-    """Let the clusters of all kinds move freely."""
+    """Advance the clusters of all kinds by free motion."""
     for k in range(len(kinds) - 1):
         first, count, n, m, e, r, s, p = kinds[k]
         _, _, n1, m1, e1, r1, s1, p1 = kinds[k + 1]
@@ -58,13 +58,13 @@ def _move_clusters(R, P, t, kinds, graphs):
 def advance(
     kicks, parts, t, hottest, known, bodies, particles, kinds, graph, terms, R, P, q, m, x, forces, total, torque, found
 ):
-    """Make a sequence of kicks and drifts, of which `kicks` (k,) says which is which, over parts (k,) of the time t.
+    """Perform a sequence of kicks, where `kicks` (k,) is true, and drifts, over parts (k,) of the time t.
 
-    R to m are changed in place. `kinds` (n + 1, 8) are the first column and the number of clusters of each kind,
-    and where its part of the fields of `graph`, those of all kinds behind each other, begins: of atoms, constraints,
-    entries, rows, starts and products. x (., 3) and `forces` (., 3) are overwritten. If `known`, `total` (3, N) and
-    `torque` (3, K) are those at the start. A kick that leaves more kinetic energy per body (kJ/mol) than the hottest
-    bodies have is the last one. `found` (2,) is how often forces were evaluated, and this energy.
+    R to m are changed in place. `kinds` (n + 1, 8) contains, for each kind, its first column, its number of clusters,
+    and the start of its part of the concatenated fields of `graph`: atoms, constraints, entries, rows, starts and
+    products. x (., 3) and `forces` (., 3) are overwritten. If `known`, `total` (3, N) and `torque` (3, K) are the
+    forces and torques at the start. The sequence ends after a kick that leaves more kinetic energy per body (kJ/mol)
+    than the hottest bodies have. `found` (2,) is the number of force evaluations, and this energy.
     """
     first = kinds[0, 0]  # of the clusters, behind which there are none
     last = kinds[len(kinds) - 1, 0]

@@ -2,7 +2,7 @@
 
 Smooth particle mesh Ewald (Essmann et al., J. Chem. Phys. 103, 8577 (1995)) of dipoles: the mesh charge is Q = sum
 (u.grad) W(r - mesh), W a B-spline, and the energy is half the sum of G(k) times the square of Q(k). Forces and fields
-are its exact derivatives, from those of the spline. An evaluation takes one transform forward and one back.
+are its exact derivatives, from those of the spline. An evaluation takes one forward and one inverse transform.
 """
 
 from __future__ import annotations

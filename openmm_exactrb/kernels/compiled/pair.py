@@ -48,7 +48,7 @@ _erfcx = _polynomial(
 
 @inlined
 def screened(r2, i, alpha):
-    """Return B1, B2 and B3 of a pair with the energy B1 u.v - B2 u.r v.r; each has the derivative -r times the next."""
+    """Return B1, B2 and B3 of a pair with the energy B1 u.v - B2 u.r v.r; each derivative is -r times the next."""
     s = min(alpha * alpha * r2, _FAR**2)
     x = math.sqrt(s)
     gauss = _root_of_exp((_MIDDLE - s) / 32.0)

@@ -34,13 +34,13 @@ def soft_dipoles(
     minimum: tuple[float, float] | None = None,
     ewald: Ewald | None = None,
 ) -> tuple[float, Array]:
-    """Return the energy and the forces of `potentials.SoftDipoles`, whose `energy_and_forces` explains x and threads.
+    """Return the energy and the forces of `potentials.SoftDipoles`, whose `energy_and_forces` describes x and threads.
 
-    repulsion, coupling and attraction are 4 epsilon sigma^12, (strength/length)² and 4 epsilon sigma^6; minimum is
-    the squared distance where the energy of the spheres ends, and by how much it is raised. A truncation has the edges
-    of the box and the square of the longer cutoff; the squared cutoff of the dipoles, 1/(width of their switch in r²)
-    and the strength of the reaction field; the squared cutoff of the spheres, 1/(width of their switch in r²), and
-    the energy that is subtracted from theirs.
+    repulsion, coupling and attraction are 4 epsilon sigma^12, (strength/length)² and 4 epsilon sigma^6; minimum is the
+    squared distance where the energy of the spheres ends, and the shift of the energy. A truncation has the edges of
+    the box and the square of the longer cutoff; the squared cutoff of the dipoles, 1/(width of their switch in r²) and
+    the strength of the reaction field; the squared cutoff of the spheres, 1/(width of their switch in r²), and the
+    energy that is subtracted from theirs.
     """
     if ewald and truncation is None:
         raise ValueError("an Ewald sum needs a box")

@@ -48,7 +48,7 @@ def values(function, source, out):
 
 @at_first_call
 def rows(function, source, count, targets, whole, real, particles, numbers):
-    """Write what void function(source, n, *targets[:count]) leaves in `whole` and `real`, in rows for all n."""
+    """Write the results of void function(source, n, *targets[:count]), in `whole` and `real`, into rows for all n."""
     for n in range(len(particles)):
         _write(function, source, n, count, targets)
         particles[n] = whole

@@ -26,7 +26,7 @@ def _high_product(typingctx, a, b):
 
 @compiled("i i i i F2")
 def uniforms(seed, step, stream, block, u):
-    """Write four numbers of the open interval (0, 1) for each body, (4, n), from a block of its own."""
+    """Write four numbers of the open interval (0, 1) for each body, (4, n), from its own block."""
     for body in range(u.shape[1]):
         k0, k1 = np.uint64(seed), np.uint64(0)
         c0, c1, c2, c3 = np.uint64(body + 1), np.uint64(block), np.uint64(stream), np.uint64(step)

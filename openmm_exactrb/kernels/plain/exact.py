@@ -13,7 +13,7 @@ Euler's equations read x1' = -sigma x2 x3, x2' = x3 x1, x3' = -rho x1 x2. They a
 that the momentum circles, 3 if S = rho x1² - sigma x3² < 0 and 1 otherwise (S = 0 is the separatrix), and (r, s) =
 (sigma, rho) or (rho, sigma). A rotation by pi about axis 2 makes y3 >= 0.
 
-Exchanging two axes mirrors the body, so that angles change sign if j = 1.
+Exchanging two axes mirrors the body, so angles change sign if j = 1.
 
 A short step computes changes, with an error in proportion to them. Orientations and momenta may be double-doubles
 (`openmm_exactrb.mathematics.compensated`), to which the changes are added; a run then has no other roundoff.
