@@ -1,4 +1,4 @@
-"""Visit every built page in Chromium, as wide as a desktop and as a phone: ``python docs/_ext/browse.py [folder]``.
+"""Visit every built page in Chromium, on a bright desktop and a dark phone: ``python docs/_ext/browse.py [folder]``.
 
 A page must load without an error on the console, show all its pictures and formulas, and be no wider than the screen.
 A view of molecules must have drawn them. No network is needed, and none may be used.
@@ -16,7 +16,7 @@ from pathlib import Path
 
 from playwright.sync_api import Page, sync_playwright
 
-WIDTHS = {"desktop": 1280, "phone": 390}
+SCREENS = {"desktop": (1280, "light"), "phone": (390, "dark")}
 TOO_WIDE = "() => document.documentElement.scrollWidth - document.documentElement.clientWidth"
 UNLOADED = "() => [...document.images].filter((i) => !(i.complete && i.naturalWidth)).map((i) => i.src)"
 RAW_FORMULAS = "() => [...document.querySelectorAll('.math')].filter((m) => !m.querySelector('mjx-container')).length"
@@ -63,14 +63,14 @@ def main() -> None:
     bad = 0
     with sync_playwright() as engine:
         browser = engine.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--use-gl=swiftshader"])
-        for name, width in WIDTHS.items():
+        for name, (width, colours) in SCREENS.items():
             for path in pages:
-                page = browser.new_page(viewport={"width": width, "height": 800})
+                page = browser.new_page(viewport={"width": width, "height": 800}, color_scheme=colours)
                 for fault in faults(page, f"{host}/{path.as_posix()}", host):
                     bad += 1
                     print(f"{path} ({name}): {fault}")
                 page.close()
-    print(f"{len(pages)} pages at {len(WIDTHS)} widths, {bad} faults")
+    print(f"{len(pages)} pages on {len(SCREENS)} screens, {bad} faults")
     sys.exit(bad > 0)
 
 

@@ -7,15 +7,15 @@ field. kT, mass and moment are 1.
 """
 
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
-from scipy.linalg import expm
 
 from openmm_exactrb.schemes.second_order import _around_exchange
 from openmm_exactrb.substeps import Drift
 
 
-@dataclass
+@dataclass(eq=False)
 class Motion:
     """Functions of phase space at quadrature nodes z with weights w of the canonical distribution.
 
@@ -59,13 +59,24 @@ class Motion:
 
     def stationary(self, scheme, h, friction, observables):
         """Return the stationary averages of functions of z at the ends of steps."""
-        behind, before = _around_exchange(scheme)
-        exchange = expm(h * friction * self.exchange)
-        moved = self.basis(self.through(self.z, behind + before, h))
-        density = exchange.T @ self.left_alone(exchange @ ((self.basis(self.z) * self.w[:, None]).T @ moved))
-        read = self.through(self.z, behind, h)
+        rates, modes = self.relaxation
+        exchange = modes * np.exp(h * friction * rates) @ modes.T
+        density = exchange.T @ self.left_alone(exchange @ self.motion(scheme, h))
+        read = self.through(self.z, _around_exchange(scheme)[0], h)
         weight = self.basis(self.z) @ density * self.w
         return np.array([weight @ f(read) for f in observables])
+
+    @cached_property
+    def relaxation(self):
+        """Return eigenvalues and eigenvectors of the exchange, which is symmetric in an orthonormal basis."""
+        np.testing.assert_allclose(self.exchange, self.exchange.T, atol=1e-12)
+        return np.linalg.eigh(self.exchange)
+
+    @lru_cache(maxsize=3)  # noqa: B019  # motions live as long as the tests
+    def motion(self, scheme, h):
+        """Return the operator of the motion between two exchanges."""
+        moved = self.basis(self.through(self.z, sum(_around_exchange(scheme), ()), h))
+        return (self.basis(self.z) * self.w[:, None]).T @ moved
 
     def left_alone(self, step):
         """Return the density, in the basis, that a step leaves alone."""
