@@ -69,8 +69,8 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         OpenCL (docs: On a GPU). "auto": on the device if it is a GPU and the engine supports the System (see
         `engineNote`).
     thermostat : Thermostat, optional
-        One of `openmm_exactrb.thermostats` or your own; the scheme may then be one of
-        `openmm_exactrb.schemes.WITH_THERMOSTAT` too. None for constant energy.
+        One of `openmm_exactrb.thermostats` or your own; with it, the scheme may also be one of
+        `openmm_exactrb.schemes.WITH_THERMOSTAT`. None for constant energy.
     forceInterval : float or Quantity, optional
         Mean time between two force evaluations, in ps if it has no unit, instead of ``stepSize``: a step is this
         interval times `forceEvaluationsPerStep`, so that schemes with equal intervals cost about the same.

@@ -206,7 +206,7 @@ class Synchronisation:
     def _follow(self, before: State, after: State) -> None:
         """Apply a user's change to the inner state too: a change below the errors of the output is added to both.
 
-        After a larger change the processor computes the inner state from the state.
+        After a larger change the processor recomputes the inner state from the true one.
         """
         if self.inner is None or after is before:
             return

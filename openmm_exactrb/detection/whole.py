@@ -114,8 +114,8 @@ def _check_doubtful_bonds(x: Array, links: Links, found: Decided, owner: Indices
     gap = x[q] - x[p]
     nearest = np.linalg.norm(gap - np.round(gap @ np.linalg.inv(box)) @ box)
     raise ValueError(
-        f"particles {p} and {q} of body {owner[p]} are {np.linalg.norm(gap):.3g} nm apart as they are given and "
-        f"{nearest:.3g} nm across the periodic box, and the length of their bond is neither: set the length in the "
+        f"particles {p} and {q} of body {owner[p]} are {np.linalg.norm(gap):.3g} nm apart as given and "
+        f"{nearest:.3g} nm across the periodic box, and neither is the length of their bond: set the length in the "
         f"HarmonicBondForce to the distance in the body"
     )
 
