@@ -285,7 +285,7 @@ def test_a_split_body_whose_parts_nothing_joins_is_refused():
 
 def test_a_bond_of_neither_length_across_half_the_box_is_refused():
     x = np.array([[0.2, 0.0, 0.0], [1.8, 0.0, 0.0]])
-    with pytest.raises(ValueError, match=r"0 and 1 of body 0 are 1\.6 nm apart as they are given and 1\.4 nm across"):
+    with pytest.raises(ValueError, match=r"0 and 1 of body 0 are 1\.6 nm apart as given and 1\.4 nm across"):
         find_bodies(system_of(2, CUBE, bonds=[(0, 1, 0.1)]), x, [range(2)], CUBE)
 
 
