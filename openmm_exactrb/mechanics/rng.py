@@ -21,7 +21,9 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 from enum import IntEnum
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -86,11 +88,17 @@ class Instant(NamedTuple):
 
     def _uniforms(self, purpose: Purpose, first: int, blocks: int, n: int) -> Array:
         """Return numbers of the open interval (0, 1) from blocks of n bodies, (4 blocks, n)."""
-        u, kernel = np.empty((_BLOCK * blocks, n)), kernels.load("random").uniforms
+        u = np.empty((_BLOCK * blocks, n))
         for block in range(blocks):
             rows = u[_BLOCK * block : _BLOCK * (block + 1)]
-            kernel(self.seed, self.step, self.substep * PURPOSES + purpose, first + block, rows)
+            _kernel()(self.seed, self.step, self.substep * PURPOSES + purpose, first + block, rows)
         return u
+
+
+@cache
+def _kernel() -> Callable[..., None]:
+    kernel: Callable[..., None] = kernels.load("random").uniforms
+    return kernel
 
 
 def _normals_of(u: Array) -> Array:

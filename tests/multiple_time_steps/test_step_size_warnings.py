@@ -8,7 +8,7 @@ import pytest
 from openmm import app
 
 import openmm_exactrb as rb
-from openmm_exactrb.mechanics.overheating import Overheating
+from openmm_exactrb.mechanics.divergence import Overheating
 from openmm_exactrb.multiple_time_steps.resonance import Resonances, growth
 from openmm_exactrb.schemes import splitting
 from openmm_exactrb.substeps import DRIFT

@@ -25,9 +25,8 @@ from openmm_exactrb.context.updates import ContextUpdates, conserve_energy
 from openmm_exactrb.context.variables import Numbers
 from openmm_exactrb.engines.engine import Settings
 from openmm_exactrb.engines.host.environment import Bound, HostEnvironment
-from openmm_exactrb.mechanics.divergence import DivergenceCheck
+from openmm_exactrb.mechanics.divergence import DivergenceCheck, Overheating
 from openmm_exactrb.mechanics.free_motion import Kinetic, free_motion
-from openmm_exactrb.mechanics.overheating import Overheating
 from openmm_exactrb.mechanics.state import Flow, ForceMemory, State
 from openmm_exactrb.multiple_time_steps.fast_forces import fast_forces
 from openmm_exactrb.multiple_time_steps.inner_drift import InnerDrift

@@ -1,0 +1,36 @@
+"""The page on averages has the numbers of its records."""
+
+import math
+
+import pytest
+
+from benchmarks.common.markdown import with_error
+from benchmarks.common.records import DOCS
+from benchmarks.water.tables import averages
+
+
+def deviation(model, held, average):
+    """Return by how much a corrected average at 8 fs deviates from the reference, its error, and the reference."""
+    (row,) = (
+        [cell.strip() for cell in line.split("|")]
+        for line in averages().splitlines()
+        if line.startswith(f"| {model}, heavy hydrogens | 8 fs, {held}") and f"| {average} (" in line
+    )
+    (mean, error), (known, of_known) = (map(float, cell.replace("−", "-").split(" ± ")) for cell in row[6:8])
+    return mean - known, math.hypot(error, of_known), known
+
+
+@pytest.mark.parametrize("model", ["SPC/E", "TIP4P/2005"])
+def test_densities_with_heavy_hydrogens_deviate_as_the_page_says(model):
+    page = " ".join((DOCS / "explanation/averages.md").read_text(encoding="utf-8").split())
+    less, error, known = deviation(model, "1 bar", "density")
+    assert f"{with_error(100.0 * less / known, 100.0 * error / known, 2)} % with {model}" in page
+
+
+def test_energies_with_heavy_hydrogens_deviate_as_the_page_says():
+    page = " ".join((DOCS / "explanation/averages.md").read_text(encoding="utf-8").split())
+    less, error, _ = deviation("SPC/E", "1 bar", "enthalpy")
+    assert f"SPC/E, which is {with_error(less, error, 3)} kJ/mol too high" in page
+    others = ("SPC/E", "constant volume", "potential energy"), ("TIP4P/2005", "constant volume", "potential energy")
+    for kind in (*others, ("TIP4P/2005", "1 bar", "enthalpy")):
+        assert abs(deviation(*kind)[0]) < 0.035
