@@ -9,12 +9,14 @@ from __future__ import annotations
 import os
 import shutil
 import sys
+import tempfile
 import threading
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 from playwright.sync_api import Page, sync_playwright
+from publish import publish
 
 SCREENS = {"desktop": (1280, "light"), "phone": (390, "dark")}
 TOO_WIDE = "() => document.documentElement.scrollWidth - document.documentElement.clientWidth"
@@ -52,23 +54,24 @@ def faults(page: Page, address: str, host: str) -> list[str]:
 
 
 def main() -> None:
-    """Visit all pages and say what is wrong."""
+    """Visit all pages, published as the only version of a site, and say what is wrong."""
     folder = Path(sys.argv[1] if len(sys.argv) > 1 else "docs/_build/html").resolve()
     chromium = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
-    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(folder)))
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    host = f"http://127.0.0.1:{server.server_address[1]}"
     pages = [p.relative_to(folder) for p in sorted(folder.rglob("*.html")) if p.name != "genindex.html"]
     pages = [p for p in pages if not {"_static", "_modules"} & set(p.parts)]  # written, not made by Sphinx
     bad = 0
-    with sync_playwright() as engine:
+    with tempfile.TemporaryDirectory() as site, sync_playwright() as engine:
+        publish(folder, Path(site), "dev")
+        server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=site))
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        host = f"http://127.0.0.1:{server.server_address[1]}"
         browser = engine.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--use-gl=swiftshader"])
         for name, (width, colours) in SCREENS.items():
             for path in pages:
                 page = browser.new_page(viewport={"width": width, "height": 800}, color_scheme=colours)
-                for fault in faults(page, f"{host}/{path.as_posix()}", host):
+                for fault in faults(page, f"{host}/dev/{path.as_posix()}", host):
                     bad += 1
-                    print(f"{path} ({name}): {fault}")
+                    print(f"{path} ({name}): {fault}", flush=True)
                 page.close()
     print(f"{len(pages)} pages on {len(SCREENS)} screens, {bad} faults")
     sys.exit(bad > 0)

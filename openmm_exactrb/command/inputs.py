@@ -102,7 +102,7 @@ def load(args: argparse.Namespace) -> Box:
     """Return the molecules that the options of ``exactrb run`` describe; raise ValueError if they do not fit."""
     if not args.files and not args.solvate:
         raise ValueError(
-            f"there is nothing to {args.command}: give {FILES}, or --solvate 216 for a box of 216 molecules of water"
+            f"exactrb {args.command} needs molecules: give {FILES}, or --solvate 216 for a box of 216 water molecules"
         )
     for file in args.files:
         if not file.exists():

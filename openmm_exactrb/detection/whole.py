@@ -250,7 +250,7 @@ def _say(number: int, X: Array, box: Array, split: bool) -> None:
     if split and (torn or across > clear):
         raise ValueError(
             f"the periodic box has split molecules, and the shape of body {number} is ambiguous, because its gap of "
-            f"{given:.3g} nm may be one of {across if torn else 4.0 * clear - given:.3g} nm across the box: {_REMEDY}"
+            f"{given:.3g} nm may be a gap of {across if torn else 4.0 * clear - given:.3g} nm across the box: {_REMEDY}"
         )
     fitting = across <= _FITTING * steps[steps <= across * (1.0 + 1e-6)].max(initial=0.0)
     likely = (in_cell or given > 4.0 * clear) and (len(X) > 2 or across < clear)

@@ -59,7 +59,10 @@ class Job:
     """
 
     def __init__(self, function: Callable[..., Any], /, **arguments: Any) -> None:
-        name = _importable_name(function)
+        try:
+            name = _importable_name(function)
+        except TypeError as error:
+            raise TypeError(f"the function of a job {error}") from None
         inspect.signature(function).bind(**arguments)  # a TypeError here, not on a worker
         texts = {argument: _text(argument, value) for argument, value in arguments.items()}
         self.function = function

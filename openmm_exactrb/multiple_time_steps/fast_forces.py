@@ -66,7 +66,9 @@ class MultipleTimeSteps:
         """Return settings from an integrator's arguments, None for no fast forces; raise ValueError if inconsistent."""
         scheme = None if inner is None else look_up(inner)
         if scheme is not None and ({substep for substep, _ in scheme.sequence} != {DRIFT, KICK} or scheme.processor):
-            raise ValueError(f"the inner scheme {scheme.name} must be made of drifts and kicks alone, such as S2_2")
+            raise ValueError(
+                f"the inner scheme {scheme.name} must consist of drifts and kicks alone: use S2_2, for example"
+            )
         if steps is not None:
             steps = whole(steps, "innerSteps")
         if fast is None:

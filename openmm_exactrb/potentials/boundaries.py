@@ -1,8 +1,9 @@
 """Boundary conditions of dipoles: none, a dielectric beyond a cutoff, or all periodic images.
 
 A switch S ends the energy of pairs of nearest images at the cutoff; the spheres have a separate switch, see
-`openmm_exactrb.potentials.spheres`. S is proportional to the integral of (s (1 - s))^6 from 0 to s, where s runs from 1
-to 0 in r² between `switch` and `cutoff`: forces have five continuous derivatives, which schemes of order 6 need.
+`openmm_exactrb.potentials.spheres`. S is proportional to the integral of (t (1 - t))^6 over t from 0
+to s, where s falls linearly in r² from 1 at `switch` to 0 at `cutoff`: forces have five continuous derivatives, which
+schemes of order 6 require.
 """
 
 from __future__ import annotations

@@ -288,6 +288,6 @@ def _minimum(parameters: Mapping[str, float]) -> tuple[float, float]:
     """Return the squared distance (nm²) where the spheres' energy has its minimum, and the depth (kJ/mol)."""
     repulsion = parameters["soft_repulsion"]
     if not repulsion > 0.0:
-        raise ValueError(f"spheres with a minimum need a positive soft_repulsion, not {repulsion}")
+        raise ValueError(f"with wca=True the Context parameter soft_repulsion must be positive, not {repulsion}")
     ratio = parameters["soft_attraction"] / repulsion
     return (2.0 / ratio) ** (1.0 / 3.0) if ratio > 0.0 else math.inf, 0.25 * ratio**2 * repulsion

@@ -5,7 +5,7 @@ receives modified moments, 1/I~_i = s/I_i + d, with series s = 1 + ... and d = .
 momentum, the spatial momentum and the kinetic energy are conserved to roundoff.
 
 Domain: any moments and momenta, but only steps that rotate the body by less than a quarter turn, h norm(I^-1 m) < pi/2:
-beyond this, the equations of the step have no root near the solution, but a wrong one. The step is implicit, a fixed
+beyond this, the equations of the step have only a spurious root, far from the solution. The step is implicit, a fixed
 point iteration that is slow near this limit. A body becomes nan if the iteration does not converge within
 `MOST_ITERATIONS`, it rotates too far, or its modified moments are not positive, and is counted in a
 `NotConvergedWarning`. Convergence does not imply a small error of the series, which grows with the power `order` of the

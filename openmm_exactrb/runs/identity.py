@@ -17,7 +17,7 @@ _LONGEST = 100  # characters of a value in a message
 
 
 def identity_of(simulation: Any) -> dict[str, str]:
-    """Return everything that determines the bits of a run, by name; this fixes the shape of bodies named by hand."""
+    """Return all that determines the bits of a run, by name. The call fixes the shapes of bodies named by hand."""
     integrator = simulation.integrator
     identity = {
         "openmm": openmm.__version__,

@@ -200,7 +200,7 @@ class Run:
             except IntegrationError as error:
                 self._save(simulation)
                 files = ", ".join([*self._outputs.names, TOPOLOGY, CHECKPOINT])
-                raise type(error)(f"{error}. Everything before it is on disk: {self.folder}: {files}") from error
+                raise type(error)(f"{error}. All output up to this error is in {self.folder}: {files}") from error
             except OSError as error:
                 self._explain(error)
             except Exception:

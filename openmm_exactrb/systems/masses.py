@@ -48,8 +48,8 @@ def heavy_hydrogens(
     """
     if not isinstance(system, openmm.System) or not isinstance(topology, app.Topology):
         raise ValueError(
-            "heavy_hydrogens() takes an openmm.System and its Topology, before a Simulation is created from them, not "
-            f"{type(system).__name__} and {type(topology).__name__}"
+            "heavy_hydrogens() takes an openmm.System and its Topology, not "
+            f"{type(system).__name__} and {type(topology).__name__}: call it before a Simulation is created from them"
         )
     wanted = checks.positive(stripped(mass, unit.dalton), "mass", "amu")
     if not isinstance(water, bool):

@@ -118,7 +118,7 @@ def kinetic_energy(x: Array, rate: Array) -> float:
 
 
 def scaling(kinetic: float, kT: float, elapsed: float, along: float, across: float) -> float:
-    """Return the factor for momenta with a given kinetic energy, by the paper's appendix.
+    """Return the factor for momenta with a given kinetic energy, as in the appendix of Bussi et al. (2007).
 
     In units where kT is one, the momenta are a vector of length r, each component of which relaxes as in
     `openmm_exactrb.thermostats.langevin`. Before, the component along the vector is r and the others are zero; the

@@ -33,7 +33,7 @@ CASES = [
     (["system.xml"], "give one file (PDB .pdb or PDBx .cif), or two (system.xml and state.xml"),
     (["state.xml", "system.xml"], "holds a State, not a System"),
     (["system.xml", "state.xml", "--forcefield", "tip3p.xml"], "a System already contains forces"),
-    ([], "there is nothing to run: give one file"),
+    ([], "exactrb run needs molecules: give one file"),
     (["--resume"], "--resume needs the same command: repeat it with its files"),
     (["--solvate", "27", "--forcefield", "tip3p.xml"], "--cutoff 0.9 is more than half the width of the box"),
     (["system.xml", "state.xml", "--out", "cut.pdb"], "cut.pdb is a file"),

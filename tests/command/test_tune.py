@@ -33,7 +33,7 @@ def test_it_reads_what_a_run_reads(droplet, capsys):
         (["state.xml", "system.xml"], "holds a State, not a System"),
         (["system.xml", "nowhere.xml"], "there is no file nowhere.xml"),
         (["picture.xml", "state.xml"], "was not written by openmm.XmlSerializer"),
-        ([], "there is nothing to tune: give one file"),
+        ([], "exactrb tune needs molecules: give one file"),
         (["system.xml", "state.xml", "--schemes", "W4"], "did you mean 'W4_4'?"),
     ],
 )

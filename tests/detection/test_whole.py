@@ -257,7 +257,7 @@ def test_a_wide_pair_is_refused_where_the_box_has_split_others_unless_it_leaves_
     if place == 2.5:
         assert find_bodies(system, x, [[0, 1]], CUBE).inertia[0, 2] == pytest.approx(6.0, rel=1e-12)
         return
-    with pytest.raises(ValueError, match=r"gap of 1 nm may be one of 2 nm across the box: set positions in which"):
+    with pytest.raises(ValueError, match=r"gap of 1 nm may be a gap of 2 nm across the box: set positions in which"):
         find_bodies(system, x, [[0, 1]], CUBE)
 
 
@@ -271,7 +271,7 @@ def test_a_body_that_looks_split_is_taken_as_it_is_given_with_a_warning():
 def test_a_body_without_bonds_is_refused_where_other_molecules_are_split():
     x = np.concatenate([wrapped(rings_of_six([[3.0, 1.0, 1.0]]), CUBE), [[0.05, 2.0, 2.0], [2.95, 2.0, 2.0]]])
     with pytest.raises(
-        ValueError, match=r"body 0 is ambiguous, because its gap of 2\.72 nm may be one of 0\.14 nm across"
+        ValueError, match=r"body 0 is ambiguous, because its gap of 2\.72 nm may be a gap of 0\.14 nm across"
     ):
         find_bodies(system_of(8, CUBE, [(6, 7, 0.1)]), x, [range(6)], CUBE)
 

@@ -159,7 +159,7 @@ def test_a_run_that_blows_up_has_all_before_it_on_disk(tmp_path):
     error = one_line(errors)
     assert "the total energy by" in error
     assert "nm apart" in error
-    assert "Everything before it is on disk" in error
+    assert "All output up to this error is in" in error
     bad = int(error.split("step ")[1].split(",")[0])
     assert 2 < bad < 1000
     out = tmp_path / "out"

@@ -259,7 +259,7 @@ def _constants(kind: Kind) -> Iterator[tuple[float, ...]]:
 
 
 def _own(number: int, text: str) -> tuple[str, str]:
-    """Return the text of a user's move, with unique names of functions, and its case."""
+    """Return the source of a user's move, with unique function names, and the `case` label that calls it."""
     names = dict.fromkeys(_FUNCTION.findall(text))
     move = MOVE.findall(text)[-1]
     renamed = [f"#define {name} {name}_{number}" for name in names], [f"#undef {name}" for name in names]

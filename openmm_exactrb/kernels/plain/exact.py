@@ -15,8 +15,9 @@ that the momentum circles, 3 if S = rho x1² - sigma x3² < 0 and 1 otherwise (S
 
 Exchanging two axes mirrors the body, so angles change sign if j = 1.
 
-A short step computes changes, with an error in proportion to them. Orientations and momenta may be double-doubles
-(`openmm_exactrb.mathematics.compensated`), to which the changes are added; a run then has no other roundoff.
+For a short step the changes of orientation and momentum are computed, with an error in proportion to them. Orientations
+and momenta may be double-doubles (`openmm_exactrb.mathematics.compensated`), to which the changes are added; a run then
+has no other roundoff.
 """
 
 from __future__ import annotations
