@@ -189,8 +189,8 @@ class ClusterState(NamedTuple):
 class Clusters:
     """Clusters of several kinds as one set of arrays.
 
-    Atom a of cluster i of a kind is column first + a N + i of the state arrays, where N is the number of clusters of the
-    kind and `first` is its first column.
+    Atom a of cluster i of a kind is column first + a N + i of the state arrays, where N is the number of clusters of
+    the kind and `first` is its first column.
     """
 
     def __init__(self, kinds: Sequence[ClusterKind]) -> None:
