@@ -76,13 +76,13 @@ def tip4p2005() -> str:
     found, body = measured(), []
     for name, (label, digits) in QUANTITIES.items():
         reference = with_error(*corrected(name), digits)
-        body.append([f"**{label}**, 298.15 K, mean of all, corrected", reference, *[""] * (len(STEPS) - 1)])
+        body.append([f"**{label}**, corrected mean of all", reference, *[""] * (len(STEPS) - 1)])
         for kelvin in (KELVIN, 277.15):
             for method, row in ROWS.items():
                 cells = [_cell(found, (kelvin, method, fs), name, digits) for fs in STEPS]
                 if any(cells):
-                    body.append([f"{row}, {kelvin:g} K", *cells])
-    return table(("", *(f"{fs:g} fs" for fs in STEPS)), body)
+                    body.append([row if kelvin == KELVIN else f"{row}, {kelvin:g} K", *cells])
+    return table((f"{KELVIN:g} K, 1 bar", *(f"{fs:g} fs" for fs in STEPS)), body)
 
 
 def _cell(found: Found, point: tuple[float, str, float], name: str, digits: int) -> str:
