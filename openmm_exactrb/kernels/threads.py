@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 
 def cores() -> int:
-    """Return the number of cores, or NUMBA_NUM_THREADS."""
+    """Return NUMBA_NUM_THREADS if it is set, otherwise the number of cores."""
     return int(numba.config.NUMBA_NUM_THREADS)
 
 

@@ -62,7 +62,7 @@ class Instant(NamedTuple):
         return first
 
     def normals(self, purpose: Purpose, shape: tuple[int, ...]) -> Array:
-        """Return standard normal numbers of bodies, the last axis of the shape, for a purpose."""
+        """Return standard normal numbers for a purpose; the last axis of the shape runs over bodies."""
         *rows, n = shape
         count = math.prod(rows)
         return _normals_of(self._uniforms(purpose, 0, -(-count // _BLOCK), n))[:count].reshape(shape)
@@ -70,7 +70,8 @@ class Instant(NamedTuple):
     def gamma(self, purpose: Purpose, shape: float) -> float:
         """Return one gamma variate for a purpose, independent of its first four normals of a body.
 
-        G. Marsaglia and W. W. Tsang (2000), doi:10.1145/358407.358414. The bodies of the second block are the attempts.
+        G. Marsaglia and W. W. Tsang (2000), doi:10.1145/358407.358414. Successive attempts use the
+        numbers of successive bodies in the second block.
         """
         if shape <= 0.0:
             return 0.0

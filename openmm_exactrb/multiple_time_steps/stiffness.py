@@ -25,7 +25,7 @@ def fastest(system: openmm.System, groups: Sequence[int] = range(32), forces: Se
 def frequencies(
     system: openmm.System, groups: Sequence[int] = range(32), forces: Sequence[Bonded] | None = None
 ) -> Iterator[tuple[Array, Indices]]:
-    """Estimate the frequencies of harmonic bonds and angles, and bonds of formulas, in given force groups, or all.
+    """Estimate the frequencies of harmonic bonds and angles, and of bonds with formulas, in some force groups or all.
 
     Each bond and angle is treated individually; constrained ones are ignored. A bond defined by a formula is included
     if it has a minimum at the length of a chemical bond. `forces` are those of the System by default.

@@ -164,7 +164,7 @@ class Measurements:
     def slope(self, name: str, step: float) -> float:
         """Return the power of the step in the error of the survey around a step.
 
-        It is computed from the two nearest steps on either side; with a single step it is the order of the method.
+        It is computed from the nearest step on each side; with a single step it is the order of the method.
         """
         curve = [p for p in self.curve(name) if p.duration == self.duration]
         if len(curve) < 2:
