@@ -28,7 +28,7 @@ import openmm_exactrb as rb
 from benchmarks.common.markdown import table, with_error
 from benchmarks.common.records import DOCS, Record
 from benchmarks.water import averages, equipartition_record
-from benchmarks.water.equipartition_record import AGAIN, FRICTION, LFM, NAMES, WHOLE
+from benchmarks.water.equipartition_record import AGAIN, FRICTION, KELVIN, LFM, NAMES, WHOLE
 from benchmarks.water.equipartition_record import RECORD as RUNS
 from openmm_exactrb.averages.record import head, read
 from openmm_exactrb.schemes import scheme_for_thermostat, splitting
@@ -108,7 +108,9 @@ def points(model: str, ensemble: str, name: str) -> list[Corrected]:
     corrections = [row for row in RECORD.rows().values() if (row["model"], row["ensemble"]) == (model, ensemble)]
     measured = [(point.method, point) for point in equipartition_record.points(equipartition_record.read(RUNS))]
     again = equipartition_record.points(equipartition_record.read(AGAIN))
-    measured += [(AT_END, point) for point in again if point.method == "W2_3m" and point.ps >= WHOLE]
+    measured += [
+        (AT_END, point) for point in again if (point.method, point.kelvin) == ("W2_3m", KELVIN) and point.ps >= WHOLE
+    ]
     found = []
     for method, point in measured:
         rows = [row for row in corrections if (row["method"], row["fs"]) == (method, str(point.interval))]
@@ -126,13 +128,14 @@ def agreement(values: list[tuple[float, float]]) -> tuple[float, float, float]:
     return common, float(weights.sum() ** -0.5), float(weights @ (mean - common) ** 2)
 
 
-def at_small_steps(model: str, ensemble: str, name: str) -> tuple[float, float] | None:
+def at_small_steps(model: str, ensemble: str, name: str, method: str | None = None) -> tuple[float, float] | None:
     """Return an average without an error of the step, the mean of all corrected ones up to 4 fs, and its error.
 
-    Enthalpies (kJ/mol per molecule) are those of averages.py, without the kinetic energy.
+    With a method, it is the mean of its averages at 4 fs. Enthalpies (kJ/mol per molecule) are those of averages.py, without the kinetic energy.
     """
     quantity = "U" if name in ("potential energy", "enthalpy") else name
-    some = [point.after for point in points(model, ensemble, quantity) if point.fs <= 4.0] if name in NAMED else []
+    found = points(model, ensemble, quantity) if name in NAMED else []
+    some = [p.after for p in found if (p.fs <= 4.0 if method is None else (p.method, p.fs) == (method, 4.0))]
     if not some:
         return None
     mean, error, _ = agreement(some)

@@ -11,6 +11,7 @@ are those of corrected_water.py.
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 
 import numpy as np
@@ -62,13 +63,8 @@ def measured() -> Found:
 
 def corrected(name: str, method: str | None = None) -> tuple[float, float]:
     """Return density or enthalpy at 298.15 K, corrected for the step: of a method at 4 fs, or of all up to 4 fs."""
-    quantity = "U" if name == "enthalpy" else name
-    some = corrected_water.points("tip4p2005", "NPT", quantity)
-    chosen = [p.after for p in some if (p.fs <= 4.0 if method is None else (p.method, p.fs) == (method, 4.0))]
-    mean, error, _ = corrected_water.agreement(chosen)
-    if name == "enthalpy":
-        mean += 3.0 * R * KELVIN + BAR * MOLAR_MASS / corrected("density")[0]
-    return mean, error
+    mean, error = corrected_water.at_small_steps("tip4p2005", "NPT", name, method) or (math.nan, math.nan)
+    return mean + 3.0 * R * KELVIN * (name == "enthalpy"), error
 
 
 def tip4p2005() -> str:
