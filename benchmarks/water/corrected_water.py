@@ -131,7 +131,8 @@ def agreement(values: list[tuple[float, float]]) -> tuple[float, float, float]:
 def at_small_steps(model: str, ensemble: str, name: str, method: str | None = None) -> tuple[float, float] | None:
     """Return an average without an error of the step, the mean of all corrected ones up to 4 fs, and its error.
 
-    With a method, it is the mean of its averages at 4 fs. Enthalpies (kJ/mol per molecule) are those of averages.py, without the kinetic energy.
+    With a method, it is the mean of its averages at 4 fs. Enthalpies (kJ/mol per molecule) are those of
+    averages.py, without the kinetic energy.
     """
     quantity = "U" if name in ("potential energy", "enthalpy") else name
     found = points(model, ensemble, quantity) if name in NAMED else []
