@@ -182,7 +182,7 @@ def pressure_offset(file: str | os.PathLike[str]) -> PressureOffset:
 
     def result(some: Columns) -> _Result:
         value, of = _pressure(settings, some)
-        return value, *_at_fixed_volume(settings, some, of, False, some["volume"] if settings.barostat else None)
+        return value, *_of_barostat(settings, some, of, some["volume"] if settings.barostat else None)
 
     found = _jackknife(columns, result)
     weak, strong = (found.mean - found.correction - mean for mean in found.bracket)
@@ -207,9 +207,16 @@ def _errors(settings: Settings, columns: Columns, of: _Observable, local: bool, 
     volume = columns["volume"]
     pressure = _Observable(columns["pressure"], (columns["pressure slope"], columns["pressure inner slope"]))
     own = _at_fixed_volume(settings, columns, of, local, volume)
-    offset = _at_fixed_volume(settings, columns, pressure, False, volume)
+    offset = _of_barostat(settings, columns, pressure, volume)
     response = _covariance(of.values, volume) / (settings.kT * BAR)
     return own[0] + response * (offset[0] - excess), own[1] + response * (offset[1] - excess)
+
+
+def _of_barostat(
+    settings: Settings, columns: Columns, pressure: _Observable, volume: Array | None
+) -> tuple[float, float]:
+    """Return the errors, for weak and for strong friction, of the pressure under which a barostat samples volumes."""
+    return _at_fixed_volume(replace(settings, slopes=settings.barostat_slopes), columns, pressure, False, volume)
 
 
 def _at_fixed_volume(

@@ -27,6 +27,8 @@ class Settings:
         Coefficients of the conserved energy; see `openmm_exactrb.schemes.second_order`.
     slopes : (float, float)
         Coefficients of minus the slope of an observable, for bodies without and with inner steps.
+    barostat_slopes : (float, float)
+        These coefficients where a barostat acts.
     temperature : float
         In K.
     kT : float
@@ -51,6 +53,7 @@ class Settings:
     alpha: float
     beta: float
     slopes: tuple[float, float]
+    barostat_slopes: tuple[float, float]
     temperature: float
     kT: float
     frictions: tuple[float, ...]

@@ -97,6 +97,17 @@ def behind_exchange(sequence: Sequence) -> Sequence:
     return ()
 
 
+def up_to_kick(sequence: Sequence) -> Sequence:
+    """Return the drifts from the end of a step to the next kick, if the step ends after a heat exchange and drifts.
+
+    A barostat acts behind them: at the positions of kicks, step-size errors of the pressure are smaller than at the end
+    of a step of W2_3m, and all bodies have moved for the same time, whether or not they have inner steps.
+    """
+    if not behind_exchange(sequence):
+        return ()
+    return tuple(itertools.takewhile(lambda row: isinstance(row[0], Drift), sequence))
+
+
 def with_proposals(scheme: Scheme, proposal: Substep) -> Scheme:
     """Return a scheme whose step is a proposal between two halves of a thermostat."""
     return _numbered(scheme, _between_halves(((proposal, 1.0),)))

@@ -13,6 +13,7 @@ from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.second_order import second_order
 from openmm_exactrb.schemes.sequence import spelled
 from openmm_exactrb.schemes.thermostatted import with_thermostat
+from thermostatted import ending_at_kicks
 
 ROTOR = "rotor in a field"
 MOTIONS = {
@@ -97,12 +98,23 @@ def test_coefficients_are_those_of_the_conserved_energy():
     """By the oscillator, whose conserved energy is known: 1 + 2 alpha h² and 1 + 2 beta h² next to the exchange."""
     order = second_order(steps_of("W2_3m")[0])
     assert (order.alpha, order.beta) == pytest.approx((-0.0008035, 0.0057183), abs=1e-7)
-    assert second_order(steps_of("BAOAB")[0]) == pytest.approx((-1 / 24, 1 / 12, 0.5, 0.0))
-    assert second_order(steps_of("V2")[0]) == pytest.approx((1 / 12, -1 / 24, 0.0, 0.0))
+    assert second_order(steps_of("BAOAB")[0]) == pytest.approx((-1 / 24, 1 / 12, 0.5, 0.0, 0.5))
+    assert second_order(steps_of("V2")[0]) == pytest.approx((1 / 12, -1 / 24, 0.0, 0.0, 0.0))
     for name in rb.SCHEMES:
         scheme = scheme_for_thermostat(name)
         if scheme.order > 2 and not scheme.processor and not scheme.generalised:
             assert second_order(with_thermostat(scheme))[:2] == pytest.approx((0.0, 0.0), abs=1e-12), name
+
+
+def test_where_a_barostat_acts_errors_are_those_of_steps_that_end_there():
+    """At the next kick; steps of ABOBA end between drifts too, but not after an exchange, and keep their ends."""
+    own, there = second_order(steps_of("W2_3m")[0]), second_order(ending_at_kicks())
+    assert own.barostat == pytest.approx(0.135)
+    assert own.barostat_slope == pytest.approx(there.slope)
+    assert own.barostat_slope - own.slope > 0.002
+    for name in ("BAOA", "BAOAB", "ABOBA", "S2_2"):
+        order = second_order(steps_of(name)[0])
+        assert order.barostat_slope == order.slope
 
 
 @pytest.mark.parametrize(

@@ -1,11 +1,17 @@
 """Systems at a thermostat whose distributions are known, as OpenMM runs them."""
 
+import copy
+
 import numpy as np
 import openmm
 from openmm import unit
 
 import openmm_exactrb as rb
 import starts
+from on_device import platform_for
+from openmm_exactrb.schemes import scheme_for_thermostat
+from openmm_exactrb.schemes.scheme import Scheme
+from openmm_exactrb.substeps import DRIFT
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
 R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
@@ -107,6 +113,28 @@ def reduced_energies(integrator, n, x, burn, steps, every):
         integrator.step(every)
         series.append(simulation.context.getState(energy=True).getPotentialEnergy()._value / (n * KT) - exact)
     return series
+
+
+def ending_at_kicks():
+    """Return the steps of W2_3m from a kick to the next: they end where its barostat acts."""
+    first, *rows, last = scheme_for_thermostat("W2_3m").sequence
+    return Scheme("W2_3m, ending at kicks", 2, (*rows, (DRIFT, last[1] + first[1])))
+
+
+def boxes_and_momenta(system, positions, scheme, engine="host", steps=12, **options):
+    """Return volumes and momenta in steps that begin at rest, with a barostat that acts after each."""
+    system, volumes = copy.deepcopy(system), []
+    barostat = openmm.MonteCarloBarostat(1.0, 300.0, 1)
+    barostat.setRandomNumberSeed(1)
+    system.addForce(barostat)
+    integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 5.0, 0.006, scheme, engine=engine, **options)
+    integrator.setRandomNumberSeed(2)
+    platform, properties = platform_for(engine)
+    context = starts.context_of(system, integrator, positions, platform=platform, properties=properties)
+    for _ in range(steps):
+        integrator.step(1)
+        volumes.append(context.getState().getPeriodicBoxVolume()._value)
+    return np.array(volumes), integrator.bodyState()[1].P
 
 
 def ideal_gas(integrator, pressure, force=0.0, temperature=300.0, **counts):

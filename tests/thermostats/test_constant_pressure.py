@@ -6,8 +6,9 @@ import pytest
 from openmm import app
 
 import openmm_exactrb as rb
-from starts import context_of
-from thermostatted import KT, ideal_gas
+from peptides import in_box
+from starts import context_of, positions_of
+from thermostatted import KT, boxes_and_momenta, ending_at_kicks, ideal_gas
 
 BAR = 0.06022140857  # kJ/mol/nm³
 
@@ -63,6 +64,28 @@ def test_an_ideal_gas_has_the_volume_of_its_law():
     assert abs(blocks.mean() - exact) < 3.5 * width
     blocks = np.reshape(temperatures, (10, -1, 2)).mean(axis=1)
     assert (np.abs(blocks.mean(axis=0) - 300.0) < 4.0 * blocks.std(axis=0, ddof=1) / np.sqrt(10)).all()
+
+
+@pytest.mark.parametrize("engine", ["host", pytest.param("device", marks=pytest.mark.opencl)])
+@pytest.mark.parametrize("flexible", [False, True])
+def test_a_barostat_acts_where_the_next_kick_does(flexible, engine):
+    """W2_3m ends its steps before: its boxes are those of the same steps from kick to kick, and bodies come back."""
+    if flexible:
+        _, system, positions = in_box()
+        held_to = context_of(system, openmm.VerletIntegrator(0.001), positions)
+        held_to.applyConstraints(1e-9)
+        positions, options = positions_of(held_to), {"fast": "bonded"}
+    else:
+        _, system, positions = rb.rigid_water(27, nonbondedMethod=app.CutoffPeriodic, nonbondedCutoff=0.4)
+        options = {}
+    runs = [
+        boxes_and_momenta(system, positions, scheme, engine, **options)
+        for scheme in ("W2_3m", ending_at_kicks())
+    ]
+    (volumes, P), (others, other_P) = runs
+    assert len(set(volumes)) >= 3
+    np.testing.assert_allclose(volumes, others, rtol=1e-12)
+    np.testing.assert_allclose(P, other_P, atol=1e-8 * np.abs(P).max())
 
 
 def density(model, integrator, picoseconds, seed):

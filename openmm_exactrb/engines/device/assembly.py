@@ -13,7 +13,7 @@ from openmm_exactrb.engines.device.segments import ALL, Sequences, Step, Table
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.moves import Move, Op, of_substep
 from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.schemes.thermostatted import canonical_momenta
+from openmm_exactrb.schemes.thermostatted import canonical_momenta, up_to_kick
 from openmm_exactrb.thermostat import Factors
 
 #: Numbers of a heat exchange in addition to its time: see kernels/rigid.cl.
@@ -46,9 +46,12 @@ class Assembly:
         evaluated: Evaluated | None = None,
     ) -> None:
         self.scheme, processed = scheme, bool(scheme.processor)
-        scheme = scheme if evaluated is None else evaluated.within(scheme)
         late = flexible is not None and flexible.molecules.late
         rows = canonical_momenta(scheme.sequence) if late else scheme.sequence
+        ahead = up_to_kick(rows)
+        if evaluated is not None:
+            scheme = evaluated.within(scheme)
+            rows, ahead = evaluated.rows(rows), evaluated.rows(ahead)
         inner = None if flexible is None else flexible.molecules.inner
         moves = [move for row in rows for move in of_substep(*row)]
         drifts = [move.part for move in moves if move.op == Op.DRIFT and move.bodies != "others"]
@@ -79,7 +82,7 @@ class Assembly:
         sequences.write_step(to, step, processed)
         if processed:
             sequences.write_processor(to, scheme)
-        sequences.write_updates(to, updates, processed)
+        sequences.write_updates(to, updates, processed, ahead)
         self.table.declare(to, EXCHANGE_NUMBERS)
         for part in self.parts:
             part.declare(to)

@@ -506,7 +506,7 @@ void ProgramIntegrator::step(int steps) {
 // its last forces, "close" ends it, and "between" is "close" and "open" in one. OpenMM updates the Context after every
 // "interval" of steps, which are counted in "waiting", and where the number of steps is a multiple of "removal" (scalars,
 // 0 for never). Behind it comes "pushed", and "moved" too where positions changed. A program with a sequence "leave" has
-// it before the updates after intervals, and "leave_pushed" and "leave_moved" behind them.
+// it before the updates after intervals, and "leave_pushed", "leave_moved" and "return" behind them.
 void ProgramIntegrator::makeSteps(int steps) {
     requireDevice();
     Current current(cc);
@@ -566,6 +566,8 @@ void ProgramIntegrator::update(int calls, bool leaves) {
         uploadPlaces();
         carryOut(prefix + "moved");
     }
+    if (leaves)
+        carryOut("return");
     if (moved || leaves)
         forcesStale = true;
 }

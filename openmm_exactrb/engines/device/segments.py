@@ -23,6 +23,8 @@ from openmm_exactrb.engines.device import program
 from openmm_exactrb.engines.device.program import Operation, Program
 from openmm_exactrb.moves import Exchange, Move, Op, of_substep
 from openmm_exactrb.schemes.scheme import Scheme
+from openmm_exactrb.schemes.sequence import Sequence as Substeps
+from openmm_exactrb.schemes.sequence import inverse
 from openmm_exactrb.support.types import Array
 
 Rows = Iterable[tuple[object, float]]
@@ -347,16 +349,24 @@ class Sequences:
         some[-1] = replace(some[-1], shows=True, places=True)
         return [*self.carried_out(some), *self._sites]
 
-    def write_updates(self, to: Program, updates: Any, processed: bool) -> None:
-        """Write the sequences around OpenMM's updates of the Context, whose kinds are flags of `ContextUpdates`."""
+    def write_updates(self, to: Program, updates: Any, processed: bool, ahead: Substeps) -> None:
+        """Write the sequences around OpenMM's updates of the Context, whose kinds are flags of `ContextUpdates`.
+
+        A barostat acts after the drifts `ahead` of the end of a step, which are undone behind it.
+        """
         velocities = updates.pushes or updates.removes_motion
+        pushed, moved = self._each("pushed", False, False) if velocities else [], self._each("moved", False)
+        to.sequence("pushed", pushed)
         if not processed:
-            to.sequence("pushed", self._each("pushed", False, False) if velocities else [])
-            to.sequence("moved", self._each("moved", False))
+            to.sequence("moved", moved)
+            if ahead:
+                to.sequence("leave", self._way(ahead, copied=False))
+                to.sequence("leave_pushed", pushed)
+                to.sequence("leave_moved", moved)
+                to.sequence("return", self._way(inverse(ahead), copied=False))
             return
         enters = to.sequences["enter"]
         pushes = [*self._each("pushed", True, False), *self._each("pushed", True, True)] if velocities else []
-        to.sequence("pushed", self._each("pushed", False, False) if velocities else [])
         to.sequence("leave", to.sequences["postprocess"])
         to.sequence("leave_pushed", [*pushes, *(enters if updates.pushes else [])])
         to.sequence("leave_moved", [*self._each("moved", True), *enters])

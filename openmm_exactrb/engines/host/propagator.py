@@ -34,7 +34,7 @@ from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.openmm_access.units import gas_constant_times
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.sequence import inverse, through
-from openmm_exactrb.schemes.thermostatted import behind_exchange, canonical_momenta
+from openmm_exactrb.schemes.thermostatted import behind_exchange, canonical_momenta, up_to_kick
 
 
 class Clock:
@@ -76,7 +76,11 @@ class Clock:
         """Let OpenMM perform n steps of its own that end at the present time."""
         openmm.Context.setStepCount(self._context(), self.number - n)
         variables.step_openmm(integrator, n)
-        self._set(self.number, self.time)  # OpenMM's clock ignores a new step size where no computation uses dt
+        self.end_step()  # OpenMM's clock ignores a new step size where no computation uses dt
+
+    def end_step(self) -> None:
+        """Set the time to that of the end of the last step."""
+        self._set(self.number, self.time)
 
     def _set(self, number: int, time: float) -> None:
         self.number, self.time, self._drifted = number, time, 0.0
@@ -250,22 +254,24 @@ class HostPropagator:
         n = self.updates.due()
         if not n:
             return state
-        true = self._true(state) if self._processed else state
-        self._positions.write(true)
+        there = self._true(state) if self._processed else through(self._up_to_kick, state)
+        self._positions.write(there)
         if self.updates.pushes:
-            self.sync.write_velocities(true)
+            self.sync.write_velocities(there)
         box = arrays.box(self.sync.context.getState())
         self._clock.update(self._integrator(), n)
         self._timings.evaluations += self.updates.trial_energies(n)
-        after = self.updates.changed(self.sync, true, box)
-        if after is not true or self.updates.pushes:
+        after = self.updates.changed(self.sync, there, box)
+        if after is not there or self.updates.pushes:
             self._positions.moved()
-        if not self._processed:
-            state = after
-        elif after is not true:
+        if after is there:
+            if there is not state:
+                self._positions.version += 1  # those of the state
+        elif self._processed:
             state = self._processed_from(after)
         else:
-            self._positions.version += 1  # those of the inner state
+            state = through(self._back_from_kick, after)
+            self._clock.end_step()
         self.environment.divergence.keep_from(state)
         return state
 
@@ -299,6 +305,8 @@ class HostPropagator:
         step = canonical_momenta(scheme.sequence) if kinetic.split else scheme.sequence
         self._step, self._output = environment.bound(step, h), environment.bound(scheme.output, h)
         self._back = environment.bound(inverse(behind_exchange(step)), h)
+        ahead = up_to_kick(step)
+        self._up_to_kick, self._back_from_kick = environment.bound(ahead, h), environment.bound(inverse(ahead), h)
         self._processor, self._postprocessor = (
             environment.bound(rows, h) for rows in (scheme.processor, scheme.postprocessor)
         )

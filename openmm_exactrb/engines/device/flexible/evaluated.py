@@ -55,11 +55,11 @@ class Evaluated(NamedTuple):
 
     def within(self, scheme: Scheme) -> Scheme:
         """Return a scheme of all bodies with the inner steps in its drifts."""
-        rows = (self._rows(some) for some in (scheme.sequence, scheme.processor, scheme.output))
+        rows = (self.rows(some) for some in (scheme.sequence, scheme.processor, scheme.output))
         sequence, processor, output = rows
         return replace(scheme, sequence=sequence, processor=processor, output=output)
 
-    def _rows(self, sequence: Sequence) -> Sequence:
+    def rows(self, sequence: Sequence) -> Sequence:
         """Return the rows of a sequence: for each kick, one by the fast forces and one by the slow forces.
 
         At the start of the sequence the slow kick comes first, because the sequence may have ended with one.
