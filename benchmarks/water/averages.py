@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 import itertools
 from collections.abc import Iterator
+from dataclasses import astuple
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -35,7 +36,8 @@ SMOOTH = {"nonbondedMethod": app.PME, "nonbondedCutoff": 0.85, "switchDistance":
 KEY = ("model", "masses", "scheme", "fs", "ensemble", "bar", "ps", "seed")
 UNITS = {"potential energy": "kJ/mol", "pressure": "bar", "density": "kg/m³", "enthalpy": "kJ/mol"}
 NAMES, PARTS = tuple(UNITS), ("", " corrected", " error", " correction error")
-COLUMNS = [f"{name}{part}" for name in NAMES for part in PARTS]
+OFFSET, OFFSET_ERROR = "pressure offset", "pressure offset error"
+COLUMNS = [*(f"{name}{part}" for name in NAMES for part in PARTS), OFFSET, OFFSET_ERROR]
 RECORD = Record(DOCS / "averages.csv", KEY, COLUMNS)
 
 
@@ -88,7 +90,8 @@ def row_of(run: dict[str, Any]) -> dict[str, Any]:
             values = tuple(value / per for value in values)
         columns = (f"{name}{part}" for part in PARTS)
         row |= dict(zip(columns, (f"{value:.6g}" for value in values), strict=True))
-    return row
+    bar, error = (np.nan, np.nan) if run["ensemble"] == "NPT" else astuple(rb.pressure_offset(file))[:2]
+    return row | {OFFSET: f"{bar:.6g}", OFFSET_ERROR: f"{error:.6g}"}
 
 
 def runs(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
@@ -101,11 +104,11 @@ def runs(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
 
 
 def offset(run: dict[str, Any]) -> float:
-    """Return the mean error of the pressure (bar) that the runs at constant volume of a point predict."""
+    """Return the mean offset (bar) of the runs at constant volume of a point."""
     same = [row for row in RECORD.rows().values() if row["ensemble"] == "NVT" and _is_of(row, run)]
     if not same:
         raise SystemExit(f"run {run} with --ensemble NVT first, of which the offset follows")
-    return float(np.mean([float(row["pressure"]) - float(row["pressure corrected"]) for row in same]))
+    return float(np.mean([float(row[OFFSET]) for row in same]))
 
 
 def _is_of(row: Row, run: dict[str, Any]) -> bool:

@@ -14,8 +14,7 @@ import math
 from typing import NamedTuple
 
 from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.schemes.sequence import Sequence, merged, palindromic, second_moments
-from openmm_exactrb.schemes.thermostatted import up_to_kick
+from openmm_exactrb.schemes.sequence import Sequence, merged, palindromic, second_moments, up_to_kick
 from openmm_exactrb.substeps import Drift, GradientKick, HeatExchange, Kick
 
 
@@ -35,7 +34,7 @@ class SecondOrder(NamedTuple):
 
     @property
     def barostat_slope(self) -> float:
-        """This factor where a barostat acts."""
+        """The factor of a slope where a barostat acts."""
         return self.alpha + 0.5 * self.barostat**2 - self.pushed
 
 

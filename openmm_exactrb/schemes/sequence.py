@@ -8,8 +8,8 @@ from collections.abc import Iterable, Mapping
 from typing import TypeVar
 
 from openmm_exactrb.mechanics.state import Flow
+from openmm_exactrb.substeps import Drift, HeatExchange, Substep, of_symbol
 from openmm_exactrb.substeps import Sequence as Sequence
-from openmm_exactrb.substeps import Substep, of_symbol
 
 _S = TypeVar("_S")
 
@@ -56,6 +56,33 @@ def second_moments(kicks: Iterable[tuple[float, float]]) -> tuple[float, float]:
     single = math.fsum(b * c * (1.0 - c) for b, c in kicks)
     double = math.fsum(b * other * (there - c) for (b, c), (other, there) in itertools.combinations(kicks, 2))
     return single, double
+
+
+def behind_exchange(sequence: Sequence) -> Sequence:
+    """Return the drifts after the last heat exchange if a step ends with them, or none.
+
+    From one heat exchange to the next a step is symmetric in time, so that the errors of the energy there are of order
+    2. At the end of the step, positions are ahead of momenta, and the errors of the total energy are of order 1.
+    """
+    rows: list[tuple[Substep, float]] = []
+    for substep, part in reversed(sequence):
+        if isinstance(substep, HeatExchange):
+            return tuple(reversed(rows))
+        if not isinstance(substep, Drift):
+            break
+        rows.append((substep, part))
+    return ()
+
+
+def up_to_kick(sequence: Sequence) -> Sequence:
+    """Return the drifts from the end of a step to the next kick, if the step ends after a heat exchange and drifts.
+
+    A barostat acts behind them: at the positions of kicks, step-size errors of the pressure are smaller than at the end
+    of a step of W2_3m, and all bodies have moved for the same time, whether or not they have inner steps.
+    """
+    if not behind_exchange(sequence):
+        return ()
+    return tuple(itertools.takewhile(lambda row: isinstance(row[0], Drift), sequence))
 
 
 def spelled(text: str) -> Sequence:

@@ -81,33 +81,6 @@ def canonical_momenta(sequence: Sequence) -> Sequence:
     return (Drift("inner"), late), *rows, (Drift("others"), late)
 
 
-def behind_exchange(sequence: Sequence) -> Sequence:
-    """Return the drifts after the last heat exchange if a step ends with them, or none.
-
-    From one heat exchange to the next a step is symmetric in time, so that the errors of the energy there are of order
-    2. At the end of the step, positions are ahead of momenta, and the errors of the total energy are of order 1.
-    """
-    rows: list[tuple[Substep, float]] = []
-    for substep, part in reversed(sequence):
-        if isinstance(substep, HeatExchange):
-            return tuple(reversed(rows))
-        if not isinstance(substep, Drift):
-            break
-        rows.append((substep, part))
-    return ()
-
-
-def up_to_kick(sequence: Sequence) -> Sequence:
-    """Return the drifts from the end of a step to the next kick, if the step ends after a heat exchange and drifts.
-
-    A barostat acts behind them: at the positions of kicks, step-size errors of the pressure are smaller than at the end
-    of a step of W2_3m, and all bodies have moved for the same time, whether or not they have inner steps.
-    """
-    if not behind_exchange(sequence):
-        return ()
-    return tuple(itertools.takewhile(lambda row: isinstance(row[0], Drift), sequence))
-
-
 def with_proposals(scheme: Scheme, proposal: Substep) -> Scheme:
     """Return a scheme whose step is a proposal between two halves of a thermostat."""
     return _numbered(scheme, _between_halves(((proposal, 1.0),)))

@@ -177,8 +177,8 @@ def made(tmp_path, rng, frames=4000, barostat="MonteCarloBarostat"):
     """Return the file of frames that are independent and normal, and its columns."""
     settings = {
         "scheme": "W2_3m", "step": 0.024, "alpha": 1e-3, "beta": 5e-3, "slopes": [8e-3, 1e-3],
-        "barostat_slopes": [6e-3, 6e-3], "temperature": 300.0, "kT": KT, "frictions": [5.0], "freedom": 384, "mass": 1153.0,
-        "barostat": barostat, "pressure": 1.0, "observables": [],
+        "barostat_slopes": [6e-3, 6e-3], "temperature": 300.0, "kT": KT, "frictions": [5.0],
+        "freedom": 384, "mass": 1153.0, "barostat": barostat, "pressure": 1.0, "observables": [],
     }  # fmt: skip
     volume, energy, square = 2.0 + 0.02 * rng.standard_normal(frames), *(rng.standard_normal((2, frames)))
     columns = {

@@ -78,10 +78,7 @@ def test_a_barostat_acts_where_the_next_kick_does(flexible, engine):
     else:
         _, system, positions = rb.rigid_water(27, nonbondedMethod=app.CutoffPeriodic, nonbondedCutoff=0.4)
         options = {}
-    runs = [
-        boxes_and_momenta(system, positions, scheme, engine, **options)
-        for scheme in ("W2_3m", ending_at_kicks())
-    ]
+    runs = [boxes_and_momenta(system, positions, scheme, engine, **options) for scheme in ("W2_3m", ending_at_kicks())]
     (volumes, P), (others, other_P) = runs
     assert len(set(volumes)) >= 3
     np.testing.assert_allclose(volumes, others, rtol=1e-12)

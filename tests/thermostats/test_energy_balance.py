@@ -6,8 +6,8 @@ import pytest
 
 import openmm_exactrb as rb
 from openmm_exactrb.schemes import WITH_THERMOSTAT
-from openmm_exactrb.schemes.sequence import palindromic
-from openmm_exactrb.schemes.thermostatted import behind_exchange, with_thermostat
+from openmm_exactrb.schemes.sequence import behind_exchange, palindromic
+from openmm_exactrb.schemes.thermostatted import with_thermostat
 from openmm_exactrb.substeps import DRIFT
 from peptides import in_water
 from thermostatted import REFERENCE, droplet_of, snapshot

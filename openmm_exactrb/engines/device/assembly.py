@@ -13,7 +13,8 @@ from openmm_exactrb.engines.device.segments import ALL, Sequences, Step, Table
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.moves import Move, Op, of_substep
 from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.schemes.thermostatted import canonical_momenta, up_to_kick
+from openmm_exactrb.schemes.sequence import up_to_kick
+from openmm_exactrb.schemes.thermostatted import canonical_momenta
 from openmm_exactrb.thermostat import Factors
 
 #: Numbers of a heat exchange in addition to its time: see kernels/rigid.cl.

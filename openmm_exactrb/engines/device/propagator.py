@@ -26,8 +26,7 @@ from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.openmm_access import arrays, platforms
 from openmm_exactrb.openmm_access.molecules import in_flexible_molecules
 from openmm_exactrb.openmm_access.units import gas_constant_times
-from openmm_exactrb.schemes.sequence import inverse
-from openmm_exactrb.schemes.thermostatted import behind_exchange
+from openmm_exactrb.schemes.sequence import behind_exchange, inverse
 from openmm_exactrb.support.warn import warn
 from openmm_exactrb.thermostat import Factors
 

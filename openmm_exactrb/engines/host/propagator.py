@@ -33,8 +33,8 @@ from openmm_exactrb.multiple_time_steps.inner_drift import InnerDrift
 from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.openmm_access.units import gas_constant_times
 from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.schemes.sequence import inverse, through
-from openmm_exactrb.schemes.thermostatted import behind_exchange, canonical_momenta, up_to_kick
+from openmm_exactrb.schemes.sequence import behind_exchange, inverse, through, up_to_kick
+from openmm_exactrb.schemes.thermostatted import canonical_momenta
 
 
 class Clock:
