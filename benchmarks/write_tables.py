@@ -25,7 +25,6 @@ from benchmarks.water import tables as of_water
 from benchmarks.water.corrected_water import corrected_water, corrected_water_agreement
 from benchmarks.water.droplet_averages import droplet_averages
 from benchmarks.water.equipartition_record import (
-    AGAIN,
     RECORD,
     over_frictions,
     over_goals,
@@ -80,15 +79,15 @@ def _as_it_is(name: str) -> str:
 
 
 def _equipartition() -> Iterator[tuple[str, str]]:
-    record, again = read(RECORD), read(AGAIN)
+    record = read(RECORD)
     for model in ("spce", "tip4p2005"):
         yield f"{model}_temperatures", over_steps(record, "T_rot - T_tr", model, "NVT")
         yield f"{model}_temperatures_at_pressure", over_steps(record, "T_rot - T_tr", model, "NPT")
         yield f"{model}_energies", over_steps(record, "U", model, "NVT")
         yield f"{model}_densities", over_steps(record, "density", model, "NPT")
         yield f"{model}_frictions", over_frictions(record, model, 6.0)
-        yield f"{model}_goals", over_goals(record, again, model)
-    yield "equipartition_models", over_models(record, again)
+        yield f"{model}_goals", over_goals(record, model)
+    yield "equipartition_models", over_models(record)
 
 
 def pages() -> list[Path]:

@@ -34,7 +34,14 @@ TEMPERATURE, FRICTION, MOLECULES, HEAVY = 298.15, 5.0, 216, 3.0
 FRAME, PART = 0.2, 20.0  # ps between two frames, and between two savings
 SMOOTH = {"nonbondedMethod": app.PME, "nonbondedCutoff": 0.85, "switchDistance": 0.75, "ewaldErrorTolerance": 1e-4}
 KEY = ("model", "masses", "scheme", "fs", "ensemble", "bar", "ps", "seed")
-UNITS = {"potential energy": "kJ/mol", "pressure": "bar", "density": "kg/m³", "enthalpy": "kJ/mol"}
+UNITS = {
+    "potential energy": "kJ/mol",
+    "pressure": "bar",
+    "density": "kg/m³",
+    "enthalpy": "kJ/mol",
+    "compressibility": "10⁻⁶/bar",
+}
+SCALES = {"potential energy": 1.0 / MOLECULES, "enthalpy": 1.0 / MOLECULES, "compressibility": 1e6}
 NAMES, PARTS = tuple(UNITS), ("", " corrected", " error", " correction error")
 OFFSET, OFFSET_ERROR = "pressure offset", "pressure offset error"
 COLUMNS = [*(f"{name}{part}" for name in NAMES for part in PARTS), OFFSET, OFFSET_ERROR]
@@ -81,13 +88,12 @@ def row_of(run: dict[str, Any]) -> dict[str, Any]:
     """Return the row of a run."""
     file, row = frames(run), dict(run)
     for name in NAMES:
-        if (name in ("density", "enthalpy")) != (run["ensemble"] == "NPT"):
+        if (name in ("potential energy", "pressure")) != (run["ensemble"] == "NVT"):
             values: tuple[float, ...] = (np.nan,) * 4
         else:
             found = rb.corrected(file, name, pressure=1.0 if run["ensemble"] == "NPT" else None)
-            per = MOLECULES if name in ("potential energy", "enthalpy") else 1
             values = found.mean - found.correction, found.mean, found.error, found.correction_error
-            values = tuple(value / per for value in values)
+            values = tuple(SCALES.get(name, 1.0) * value for value in values)
         columns = (f"{name}{part}" for part in PARTS)
         row |= dict(zip(columns, (f"{value:.6g}" for value in values), strict=True))
     bar, error = (np.nan, np.nan) if run["ensemble"] == "NPT" else astuple(rb.pressure_offset(file))[:2]

@@ -35,7 +35,8 @@ from openmm_exactrb.schemes import scheme_for_thermostat, splitting
 from openmm_exactrb.schemes.second_order import second_order
 from openmm_exactrb.schemes.thermostatted import with_thermostat
 
-#: In docs/equipartition.csv, W2_3m has positions at its next kick, in later runs at the end of its step.
+#: In docs/equipartition.csv, W2_3m has positions at its next kick, in later runs at the end of its step. In both, a
+#: barostat acts at the next kick.
 NEXT_KICK, AT_END = 0.135, "W2_3m, at the end"
 METHODS, STEPS = (LFM, "BAOAB", "W2_3m", AT_END), (0.5, 1.0, 2.0, 4.0, 6.0)
 #: Quantities of docs/equipartition.csv by ensemble, their names here, and whether they are for a molecule.
@@ -80,7 +81,13 @@ def as_if(file: Path, method: str, fs: float, other: Path) -> None:
         order = order._replace(late=NEXT_KICK)
     step = 0.001 * fs * (1 if own else splitting(scheme).forces)
     changed = replace(
-        settings, step=step, alpha=order.alpha, beta=order.beta, slopes=(order.slope, order.alpha), chords=own
+        settings,
+        step=step,
+        alpha=order.alpha,
+        beta=order.beta,
+        slopes=(order.slope, order.alpha),
+        barostat_slopes=(order.barostat_slope, order.barostat_slope),
+        chords=own,
     )
     other.write_text(head(changed, lines[1].strip().split(",")) + "".join(lines[2:]), encoding="utf-8")
 

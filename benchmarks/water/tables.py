@@ -9,7 +9,7 @@ import numpy as np
 from benchmarks.common.markdown import distinct, rows, table, with_error
 from benchmarks.common.records import Row
 from benchmarks.water import corrected_water
-from benchmarks.water.averages import KEY, PARTS, UNITS
+from benchmarks.water.averages import KEY, OFFSET, OFFSET_ERROR, PARTS, UNITS
 from benchmarks.water.equipartition_record import FRICTION, LFM, NAMES, RECORD, less, read, whole
 
 WINDOWS = ("2", "10", "30")  # ps
@@ -89,6 +89,12 @@ def averages() -> str:
                 reference = with_error(*known, digits) if known else ""
                 row = *of_run, f"{name} ({UNITS[name]})", f"{plain:.{digits}f}".replace("-", "−"), *cells, reference
                 body.append((*row, f"{length:g} ps"))
+        offset, error = np.array([[float(row[name]) for name in (OFFSET, OFFSET_ERROR)] for row in some]).T
+        if np.isfinite(offset).all():
+            mean, of_mean, _ = corrected_water.agreement([*zip(offset, error, strict=True)])
+            body.append(
+                (*of_run, "offset of a barostat (bar)", "", with_error(mean, of_mean, 0), "", "", f"{length:g} ps")
+            )
     head = ("", "", "average", "as it is", "correction", "corrected", "all steps up to 4 fs", "")
     return table(head, body)
 

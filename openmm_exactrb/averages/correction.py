@@ -17,8 +17,9 @@ exchange no energy, at any friction. A correction uses the mean of these limits.
     -Cov(A, T)/kT + 4 <T> Cov(A, U)/(n kT²)
 
 at weak friction, and at any friction to the energy of a harmonic liquid. A barostat accepts volumes by the true energy.
-The error dP of the pressure at a fixed volume therefore changes any average by Cov(A, V) dP/kT, while A, S and W
-fluctuate at a fixed volume in all other terms (the volume is slow).
+The error dP of the pressure at a fixed volume, with the kappa of the place in a step where the barostat acts, therefore
+changes any average by Cov(A, V) dP/kT, while A, S and W fluctuate at a fixed volume in all other terms (the volume is
+slow).
 """
 
 from __future__ import annotations
@@ -72,12 +73,12 @@ class Average:
 
 @dataclass(frozen=True)
 class PressureOffset:
-    """The step-size error of the pressure at a fixed volume, which is added to the pressure of a barostat.
+    """The step-size error of the pressure where a barostat acts, which is added to the pressure of the barostat.
 
     Attributes
     ----------
     bar, error : float
-        The error of the pressure and its standard deviation, in bar; see `Average`.
+        The error of the pressure at a fixed volume, and its standard deviation, in bar; see `Average`.
     bracket : (float, float)
         For weak and for strong friction.
     scheme, step, temperature : str, float (ps), float (K)
@@ -164,7 +165,10 @@ def corrected(
 
 
 def pressure_offset(file: str | os.PathLike[str]) -> PressureOffset:
-    """Return the step-size error of the pressure of a run at constant volume.
+    """Return the step-size error of the pressure where a barostat acts, from a run at constant volume.
+
+    It differs from that of ``corrected(file, "pressure")`` if a barostat acts elsewhere in the step than at its end:
+    with W2_3m at the next kick.
 
     Parameters
     ----------

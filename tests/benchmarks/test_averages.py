@@ -2,9 +2,10 @@
 
 import math
 
+import numpy as np
 import pytest
 
-from benchmarks.common.markdown import with_error
+from benchmarks.common.markdown import rows, with_error
 from benchmarks.common.records import DOCS
 from benchmarks.water.tables import averages
 
@@ -34,3 +35,13 @@ def test_energies_with_heavy_hydrogens_deviate_as_the_page_says():
     others = ("SPC/E", "constant volume", "potential energy"), ("TIP4P/2005", "constant volume", "potential energy")
     for kind in (*others, ("TIP4P/2005", "1 bar", "enthalpy")):
         assert abs(deviation(*kind)[0]) < 0.035
+
+
+def test_at_the_next_kick_the_error_of_the_pressure_is_less_than_half_of_that_at_the_end_of_a_step():
+    found = [row for row in rows("averages") if row["scheme"] == "W2_3m" and row["ensemble"] == "NVT"]
+    assert len(found) >= 8
+    offset, measured, corrected = (
+        np.array([float(row[name]) for row in found]) for name in ("pressure offset", "pressure", "pressure corrected")
+    )
+    errors = np.array([float(row["pressure offset error"]) for row in found])
+    assert np.average(offset / (measured - corrected), weights=errors**-2) < 0.5
