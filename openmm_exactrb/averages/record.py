@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import asdict, dataclass
+from dataclasses import MISSING, asdict, dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -65,6 +65,10 @@ class Settings:
     chords: bool = False
 
 
+_NAMES = {field.name for field in fields(Settings)}
+_REQUIRED = {field.name for field in fields(Settings) if field.default is MISSING}
+
+
 def columns_of(settings: Settings, pressure: bool, around: bool) -> tuple[str, ...]:
     """Return the names of the columns of a file."""
     names = ["step", "time (ps)", "potential (kJ/mol)", "volume (nm^3)"]
@@ -88,10 +92,11 @@ def continues(text: str, settings: Settings, columns: tuple[str, ...]) -> bool:
     return first.startswith(_MARK) and _settings(first) == settings and second == ",".join(columns)
 
 
-def _settings(line: str) -> Settings:
+def _settings(line: str) -> Settings | None:
+    """Return the settings in a line, or None if they are those of another version."""
     known = json.loads(line.removeprefix(_MARK))
     tuples = {name: tuple(value) for name, value in known.items() if isinstance(value, list)}
-    return Settings(**{**known, **tuples})
+    return Settings(**{**known, **tuples}) if known.keys() <= _NAMES and known.keys() >= _REQUIRED else None
 
 
 def _value(text: str) -> float:
@@ -114,6 +119,9 @@ def read(file: str | os.PathLike[str]) -> tuple[Settings, dict[str, Array]]:
     lines = Path(file).read_text(encoding="utf-8").splitlines()
     if len(lines) < 2 or not lines[0].startswith(_MARK):
         raise ValueError(f"{file} was not written by an AverageReporter: pass the file of one")
+    settings = _settings(lines[0])
+    if settings is None:
+        raise ValueError(f"{file} was written by another version of openmm_exactrb: report again with this version")
     names = [name.split(" (")[0] for name in lines[1].split(",")]
     rows = [line.split(",") for line in lines[2:]]
     for number, row in enumerate(rows, start=3):
@@ -125,4 +133,4 @@ def read(file: str | os.PathLike[str]) -> tuple[Settings, dict[str, Array]]:
         raise ValueError(
             f"line {3 + np.argmin(finite)} of {file} has a non-finite value: delete this line and all later ones"
         )
-    return _settings(lines[0]), dict(zip(names, values.T, strict=True))
+    return settings, dict(zip(names, values.T, strict=True))
