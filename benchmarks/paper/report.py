@@ -19,28 +19,29 @@ splitting methods*, SIAM J. Sci. Comput. 30, 2084 (2008), doi:10.1137/070704393.
 RULES = """\
 ## How a verdict is reached
 
-`make paper` computes the numbers and writes these pages, from the scripts in `benchmarks/paper` (`make paper
-ARGS=--stored` writes them from the stored data in `docs/paper/data`). A verdict is computed from criteria, which are
-printed with every claim:
+`make paper` runs the scripts in `benchmarks/paper`, which compute the numbers and write these pages; `make paper
+ARGS=--stored` writes the pages from the stored data in `docs/paper/data`. A verdict is computed from criteria, which
+are printed with every claim:
 
-- a claim **agrees** if all criteria are met: in every draw of random starts, or by the mean over the draws within two
-  standard errors;
+- a claim **agrees** if all criteria are met, either in every draw of random starts or, to within two standard errors,
+  by the mean over the draws;
 - it **agrees in part** if some criteria are met, or if they are met in some of the draws;
 - it is **exceeded** if no criterion is met because our errors are smaller;
 - it **does not agree** if no criterion is met in any draw;
-- it **cannot be decided** if the paper does not state what would have to be known, or if our numbers do not allow it.
+- it **cannot be decided** if the paper does not state the required information, or if our numbers do not allow a
+  decision.
 
-The paper's words rarely contain a number. Numbers in criteria, such as "within a factor of 3", were therefore chosen here.
-Criteria that are stricter than the paper's words are named as such and do not decide. Sentences of our own, under
-"Beyond the paper", are judged in the same way and counted separately. Costs are processor times on one core and
-meaningful as ratios only. No ratio that a verdict depends on compares compiled code with numpy.
+The claims of the paper rarely contain a number, so the numbers in criteria, such as "within a factor of 3", were chosen
+here. Criteria that are stricter than the claim of the paper are marked and do not affect the verdict. Our own
+statements, under "Beyond the paper", are judged in the same way and counted separately. Costs are processor times on
+one core and are meaningful only as ratios. No verdict depends on a ratio of times between compiled code and NumPy code.
 
 """
 ERRATA = """\
 ## Errata
 
-Formulas of the preprint that had to be corrected or rewritten. Each was checked numerically, by a reference of 50 digits
-or by the slope of the energy error.
+The following formulas of the preprint had to be corrected or rewritten. Each correction was checked numerically, with a
+reference of 50 digits or by the slope of the energy error.
 
 | place | printed | correct | evidence |
 | --- | --- | --- | --- |
@@ -62,12 +63,12 @@ WHEN = """\
 ## Consequences for the choice of a scheme
 
 - If the potential is small compared with the kinetic energy and varies slowly within a step (a perturbed free body, a
-  satellite), use `SABA_4`, or `ABA_10_6_4` at tight tolerances. `V2_C17` is better if output is rare, since its corrector
-  costs 32 evaluations per output, and `V2_gradient_C17` if a force gradient is available.
+  satellite), use `SABA_4`, or `ABA_10_6_4` at tight tolerances. If output is rare, `V2_C17` is better; its corrector
+  costs 32 evaluations per output. If a force gradient is available as well, use `V2_gradient_C17`.
 - If the potential is as large as the kinetic energy (T0 = ε, dipoles, every liquid), these schemes have no advantage.
-  [Which integrator, scheme and step](which.md) has recommendations for molecules.
-- With McLachlan-Reich instead of the exact flow, every scheme falls to order 2, except for compositions of Verlet steps
-  (`Y4_3`, `Y6_7`, `KL8_17`), which have large error constants.
+  The page [Which integrator, scheme and step](which.md) gives recommendations for molecules.
+- With the McLachlan-Reich rotor instead of the exact rotor, every scheme has order 2, except for compositions of Verlet
+  steps (`Y4_3`, `Y6_7`, `KL8_17`), which have large error constants.
 """
 
 
