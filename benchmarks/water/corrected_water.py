@@ -85,8 +85,8 @@ def as_if(file: Path, method: str, fs: float, other: Path) -> None:
         step=step,
         alpha=order.alpha,
         beta=order.beta,
-        slopes=(order.slope, order.alpha),
-        barostat_slopes=(order.barostat_slope, order.barostat_slope),
+        slopes=(order.slope, order.inner_slope),
+        barostat_slope=order.barostat_slope,
         chords=own,
     )
     other.write_text(head(changed, lines[1].strip().split(",")) + "".join(lines[2:]), encoding="utf-8")

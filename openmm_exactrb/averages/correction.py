@@ -220,7 +220,8 @@ def _of_barostat(
     settings: Settings, columns: Columns, pressure: _Observable, volume: Array | None
 ) -> tuple[float, float]:
     """Return the errors, for weak and for strong friction, of the pressure under which a barostat samples volumes."""
-    return _at_fixed_volume(replace(settings, slopes=settings.barostat_slopes), columns, pressure, False, volume)
+    there = replace(settings, slopes=(settings.barostat_slope, settings.barostat_slope))
+    return _at_fixed_volume(there, columns, pressure, False, volume)
 
 
 def _at_fixed_volume(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import MISSING, asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -27,8 +27,8 @@ class Settings:
         Coefficients of the conserved energy; see `openmm_exactrb.schemes.second_order`.
     slopes : (float, float)
         Coefficients of minus the slope of an observable, for bodies without and with inner steps.
-    barostat_slopes : (float, float)
-        These coefficients where a barostat acts.
+    barostat_slope : float
+        This coefficient for all bodies where a barostat acts.
     temperature : float
         In K.
     kT : float
@@ -53,7 +53,7 @@ class Settings:
     alpha: float
     beta: float
     slopes: tuple[float, float]
-    barostat_slopes: tuple[float, float]
+    barostat_slope: float
     temperature: float
     kT: float
     frictions: tuple[float, ...]
@@ -63,10 +63,6 @@ class Settings:
     pressure: float = 0.0
     observables: tuple[str, ...] = ()
     chords: bool = False
-
-
-_NAMES = {field.name for field in fields(Settings)}
-_REQUIRED = {field.name for field in fields(Settings) if field.default is MISSING}
 
 
 def columns_of(settings: Settings, pressure: bool, around: bool) -> tuple[str, ...]:
@@ -96,7 +92,10 @@ def _settings(line: str) -> Settings | None:
     """Return the settings in a line, or None if they are those of another version."""
     known = json.loads(line.removeprefix(_MARK))
     tuples = {name: tuple(value) for name, value in known.items() if isinstance(value, list)}
-    return Settings(**{**known, **tuples}) if known.keys() <= _NAMES and known.keys() >= _REQUIRED else None
+    try:
+        return Settings(**{**known, **tuples})
+    except TypeError:
+        return None
 
 
 def _value(text: str) -> float:

@@ -134,9 +134,8 @@ def settings_of(simulation: Any, dynamics: Dynamics, observables: Mapping[str, A
         step=dynamics.step,
         alpha=order.alpha,
         beta=order.beta,
-        # Bodies with inner steps end at the heat exchange: `openmm_exactrb.schemes.thermostatted.canonical_momenta`.
-        slopes=(order.slope, order.alpha),
-        barostat_slopes=(order.barostat_slope, order.barostat_slope),
+        slopes=(order.slope, order.inner_slope),
+        barostat_slope=order.barostat_slope,
         temperature=dynamics.temperature,
         kT=gas_constant_times(dynamics.temperature),
         frictions=dynamics.frictions,

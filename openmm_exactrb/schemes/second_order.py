@@ -5,7 +5,8 @@ Next to its heat exchange, a symmetric splitting of steps h conserves
     H + h² (alpha v·V''v + beta f·M⁻¹f) + O(h⁴),
 
 and its step ends a drift of y h, which may contain kicks, after the exchange. A barostat acts at another y if a step
-ends between drifts. `openmm_exactrb.averages` computes the error of any average from these numbers.
+ends between two drifts after the exchange. `openmm_exactrb.averages` computes the error of any average from these
+numbers.
 """
 
 from __future__ import annotations
@@ -14,7 +15,14 @@ import math
 from typing import NamedTuple
 
 from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.schemes.sequence import Sequence, merged, palindromic, second_moments, up_to_kick
+from openmm_exactrb.schemes.sequence import (
+    Sequence,
+    behind_exchange,
+    merged,
+    palindromic,
+    second_moments,
+    up_to_kick,
+)
 from openmm_exactrb.substeps import Drift, GradientKick, HeatExchange, Kick
 
 
@@ -25,17 +33,26 @@ class SecondOrder(NamedTuple):
     beta: float  #: of f·M⁻¹f in the conserved energy
     late: float  #: y, the drifts between the heat exchange and the end of a step
     pushed: float  #: the displacement by kicks between the heat exchange and the end of a step, in h² M⁻¹f
+    inner: float  #: y of bodies with inner steps: 0 where `thermostatted.canonical_momenta` defers their drifts
     barostat: float  #: y of a barostat: the drifts between the heat exchange and its moves
 
     @property
     def slope(self) -> float:
         """The factor alpha + y²/2 - c of the slope of an observable along M⁻¹f, which a correction subtracts."""
-        return self.alpha + 0.5 * self.late**2 - self.pushed
+        return self._slope(self.late)
+
+    @property
+    def inner_slope(self) -> float:
+        """The factor of the slope for bodies with inner steps."""
+        return self._slope(self.inner)
 
     @property
     def barostat_slope(self) -> float:
-        """The factor of a slope where a barostat acts."""
-        return self.alpha + 0.5 * self.barostat**2 - self.pushed
+        """The factor of the slope where a barostat acts."""
+        return self._slope(self.barostat)
+
+    def _slope(self, y: float) -> float:
+        return self.alpha + 0.5 * y**2 - self.pushed
 
 
 def second_order(scheme: Scheme) -> SecondOrder:
@@ -59,8 +76,9 @@ def second_order(scheme: Scheme) -> SecondOrder:
     late = math.fsum(part for substep, part in behind if isinstance(substep, Drift))
     single, double = second_moments(kicks)
     pushed = math.fsum(b * (late - c) for b, c in kicks[: sum(not isinstance(s, Drift) for s, _ in behind)])
+    inner = 0.0 if behind_exchange(scheme.sequence) else late
     barostat = late + math.fsum(part for _, part in up_to_kick(scheme.sequence))
-    return SecondOrder(1.0 / 12.0 - 0.5 * single, 1.0 / 12.0 - 0.5 * double + gradients, late, pushed, barostat)
+    return SecondOrder(1.0 / 12.0 - 0.5 * single, 1.0 / 12.0 - 0.5 * double + gradients, late, pushed, inner, barostat)
 
 
 def _around_exchange(scheme: Scheme) -> tuple[Sequence, Sequence]:

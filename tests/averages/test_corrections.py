@@ -177,7 +177,7 @@ def made(tmp_path, rng, frames=4000, barostat="MonteCarloBarostat"):
     """Return the file of frames that are independent and normal, and its columns."""
     settings = {
         "scheme": "W2_3m", "step": 0.024, "alpha": 1e-3, "beta": 5e-3, "slopes": [8e-3, 1e-3],
-        "barostat_slopes": [6e-3, 6e-3], "temperature": 300.0, "kT": KT, "frictions": [5.0],
+        "barostat_slope": 6e-3, "temperature": 300.0, "kT": KT, "frictions": [5.0],
         "freedom": 384, "mass": 1153.0, "barostat": barostat, "pressure": 1.0, "observables": [],
     }  # fmt: skip
     volume, energy, square = 2.0 + 0.02 * rng.standard_normal(frames), *(rng.standard_normal((2, frames)))
@@ -347,7 +347,7 @@ def test_what_a_file_lacks_is_said(tmp_path):
         few.write_text("".join([*lines[:-1], last]))
         with pytest.raises(ValueError, match=r"line 102 of .* has a non-finite value"):
             rb.corrected(few, "pressure")
-    few.write_text("".join([lines[0].replace('"barostat_slopes"', '"others"'), *lines[1:]]))
+    few.write_text("".join([lines[0].replace('"barostat_slope"', '"others"'), *lines[1:]]))
     with pytest.raises(ValueError, match="written by another version of openmm_exactrb: report again"):
         rb.corrected(few, "pressure")
     (tmp_path / "no.csv").write_text("step,time\n")

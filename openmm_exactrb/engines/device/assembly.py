@@ -9,11 +9,11 @@ from openmm_exactrb.engines.device.flexible.evaluated import Evaluated
 from openmm_exactrb.engines.device.flexible.part import Flexible, FlexiblePart
 from openmm_exactrb.engines.device.program import Launch, Program, Source
 from openmm_exactrb.engines.device.rigid import Demands, RigidPart, parts_of
-from openmm_exactrb.engines.device.segments import ALL, Sequences, Step, Table
+from openmm_exactrb.engines.device.segments import ALL, Sequences, Step, Table, divided
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.moves import Move, Op, of_substep
 from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.schemes.sequence import up_to_kick
+from openmm_exactrb.schemes.sequence import inverse, up_to_kick
 from openmm_exactrb.schemes.thermostatted import canonical_momenta
 from openmm_exactrb.thermostat import Factors
 
@@ -32,8 +32,8 @@ class Assembly:
     scheme : Scheme
     fast_evaluations : int
         Evaluations of fast forces in a step.
-    evaluated : int
-        Evaluations of fast forces by OpenMM in a step.
+    evaluated, evaluated_around : int
+        Evaluations of fast forces by OpenMM in a step, and around an action of a barostat.
     """
 
     def __init__(
@@ -59,6 +59,8 @@ class Assembly:
         kicks = ALL if evaluated is None else evaluated.slow
         step = Step.of(rows, splits_exchanges=factors is not None, remembered=kicks if any(scheme.memory) else None)
         self.evaluated = 0 if evaluated is None else step.evaluations(evaluated.groups)
+        ways = (divided(ahead), divided(inverse(ahead)))
+        self.evaluated_around = sum(segment.groups is not None for way in ways for segment in way)
         self.fast_evaluations = self.evaluated if inner is None else sum(map(inner.evaluations, drifts))
         own = tuple(dict.fromkeys(move.text for move in _moves(scheme) if move.text))
         (forces, differences), (per_step, of_differences) = scheme.memory, step.remembered

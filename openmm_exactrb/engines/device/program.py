@@ -90,7 +90,7 @@ def copy(array: str, to: str) -> str:
 SITES, REORDER, STEP = "sites", "reorder", "step"
 
 # Scalars of the integrator.
-_COUNTS = ("interval", "waiting", "removal", "calls")
+_COUNTS = ("interval", "removal", "calls")
 
 #: A launch, or an operation as a line.
 Operation = Launch | str
@@ -101,8 +101,8 @@ class Program:
     """Arrays, scalars and sequences of operations.
 
     All scalars are saved. The integrator reads "interval" and "removal", the numbers of steps between actions of
-    barostats or thermostats of the System, and between removals of motion; 0 is never. It counts steps since then in
-    "waiting", and since OpenMM last updated the Context in "calls".
+    barostats or thermostats of the System, and between removals of motion; 0 is never. It counts steps since OpenMM
+    last updated the Context in "calls".
     """
 
     arrays: dict[str, Array] = field(default_factory=dict)

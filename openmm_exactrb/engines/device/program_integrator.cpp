@@ -208,6 +208,7 @@ private:
     bool forcesStale = true, placesStale = true, updating = false;
     int forceCount = -1, forceGroups = 0;
     double stepBegan = 0;  // the time
+    long long updates = 0;  // of the Context since it was made, which barostats count too: not saved, as theirs are not
 
     struct Kept {  // what `keep` kept beside arrays
         double time = 0;
@@ -332,6 +333,7 @@ Operation ProgramIntegrator::operation(const string& word, std::istringstream& w
 
 void ProgramIntegrator::initialize(ContextImpl& impl) {
     CustomIntegrator::initialize(impl);
+    updates = 0;
     cc = NULL;
     const string platform = impl.getPlatform().getName();
     if (platform != "OpenCL" && platform != "CUDA" && platform != "HIP")
@@ -503,17 +505,18 @@ void ProgramIntegrator::step(int steps) {
 }
 
 // Sequences: "forces" evaluates those that "open" needs, unless they are known; "open" begins a step, "body" goes on to
-// its last forces, "close" ends it, and "between" is "close" and "open" in one. OpenMM updates the Context after every
-// "interval" of steps, which are counted in "waiting", and where the number of steps is a multiple of "removal" (scalars,
+// its last forces, "close" ends it, and "between" is "close" and "open" in one. OpenMM updates the Context when its
+// barostats act, after every "interval" of updates, and where the number of steps is a multiple of "removal" (scalars,
 // 0 for never). Behind it comes "pushed", and "moved" too where positions changed. A program with a sequence "leave" has
-// it before the updates after intervals, and "leave_pushed", "leave_moved" and "return" behind them.
+// it before the updates in which barostats act, and "return" behind them; "leave_pushed" and "leave_moved" may replace
+// "pushed" and "moved" there.
 void ProgramIntegrator::makeSteps(int steps) {
     requireDevice();
     Current current(cc);
     uploadBox();
     stepBegan = cc->getTime();
     const int interval = (int) scalar("interval"), removal = (int) scalar("removal");
-    double &waiting = scalar("waiting"), &calls = scalar("calls");
+    double &calls = scalar("calls");
     bool begins = true;
     for (int i = 0; i < steps; i++) {
         if (begins) {
@@ -523,7 +526,7 @@ void ProgramIntegrator::makeSteps(int steps) {
         }
         carryOut("body");
         calls++;
-        const bool acts = interval > 0 && ++waiting >= interval;
+        const bool acts = interval > 0 && updates % interval + (long long) calls >= interval;
         const bool due = acts || (removal > 0 && (cc->getStepCount() + 1) % removal == 0);
         begins = due || i == steps - 1;
         carryOut(begins ? "close" : "between");
@@ -531,8 +534,6 @@ void ProgramIntegrator::makeSteps(int steps) {
             update((int) calls, acts && sequences.count("leave"));
             calls = 0;
         }
-        if (acts)
-            waiting = 0;
     }
 }
 
@@ -549,7 +550,10 @@ void ProgramIntegrator::runAlone(const string& name) {
 
 // Let barostats, thermostats and removers of the System act as in so many steps that end now.
 void ProgramIntegrator::update(int calls, bool leaves) {
-    const string prefix = leaves ? "leave_" : "";
+    updates += calls;
+    auto behind = [&](const string& name) {
+        carryOut(leaves && sequences.count("leave_" + name) ? "leave_" + name : name);
+    };
     if (leaves)
         carryOut("leave");
     const long long count = cc->getStepCount();
@@ -560,11 +564,11 @@ void ProgramIntegrator::update(int calls, bool leaves) {
         moved |= context->updateContextState();
     }
     updating = false;
-    carryOut(prefix + "pushed");
+    behind("pushed");
     if (moved) {
         uploadBox();
         uploadPlaces();
-        carryOut(prefix + "moved");
+        behind("moved");
     }
     if (leaves)
         carryOut("return");

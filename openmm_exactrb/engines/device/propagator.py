@@ -230,9 +230,11 @@ class DevicePropagator:
                 raise
             self._refuse(n)
         finally:
-            slow = device.evaluations - before - n * self._assembly.evaluated
-            self._timings.evaluations += slow + self.updates.trial_energies(n)
-            self._timings.fast_evaluations += n * self._assembly.fast_evaluations
+            trials = self.updates.trial_energies(n)
+            around = trials // 2 * self._assembly.evaluated_around
+            slow = device.evaluations - before - n * self._assembly.evaluated - around
+            self._timings.evaluations += slow + trials
+            self._timings.fast_evaluations += n * self._assembly.fast_evaluations + around
             self.sync.moved_on()
 
     def _report(self) -> tuple[float, bool]:

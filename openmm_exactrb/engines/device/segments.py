@@ -12,6 +12,7 @@ start of the next one in one segment.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
@@ -25,6 +26,7 @@ from openmm_exactrb.moves import Exchange, Move, Op, of_substep
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.sequence import Sequence as Substeps
 from openmm_exactrb.schemes.sequence import inverse
+from openmm_exactrb.substeps import Drift
 from openmm_exactrb.support.types import Array
 
 Rows = Iterable[tuple[object, float]]
@@ -343,9 +345,15 @@ class Sequences:
         pairs = [zip(part.state(not shown), part.state(shown), strict=True) for part in self.parts]
         return [program.copy(*names) for names in itertools.chain(*pairs)]
 
-    def _way(self, rows: Rows, copied: bool) -> list[Operation]:
-        """Return the operations of substeps outside of a step, after which the state is shown."""
-        some = [replace(segment, copied=copied, time=0.0) for segment in divided(rows)]
+    def _way(self, rows: Rows, copied: bool, begins: float | None = None) -> list[Operation]:
+        """Return the operations of substeps outside of a step, after which the state is shown.
+
+        Time stands still, or begins at a fraction of the step.
+        """
+        some = [
+            replace(segment, copied=copied, time=0.0 if begins is None else begins + segment.time)
+            for segment in divided(rows)
+        ]
         some[-1] = replace(some[-1], shows=True, places=True)
         return [*self.carried_out(some), *self._sites]
 
@@ -360,10 +368,9 @@ class Sequences:
         if not processed:
             to.sequence("moved", moved)
             if ahead:
-                to.sequence("leave", self._way(ahead, copied=False))
-                to.sequence("leave_pushed", pushed)
-                to.sequence("leave_moved", moved)
-                to.sequence("return", self._way(inverse(ahead), copied=False))
+                late = math.fsum(part for substep, part in ahead if substep in (Drift(), Drift("others")))
+                to.sequence("leave", [*self._way(ahead, False, 0.0), program.clock(late)])
+                to.sequence("return", [*self._way(inverse(ahead), False, late), program.clock(0.0)])
             return
         enters = to.sequences["enter"]
         pushes = [*self._each("pushed", True, False), *self._each("pushed", True, True)] if velocities else []

@@ -72,11 +72,15 @@ class Clock:
         """Restore the kept number and time."""
         self._set(*self._kept)
 
-    def update(self, integrator: openmm.CustomIntegrator, n: int) -> None:
-        """Let OpenMM perform n steps of its own that end at the present time."""
-        openmm.Context.setStepCount(self._context(), self.number - n)
+    def update(self, integrator: openmm.CustomIntegrator, n: int, h: float) -> None:
+        """Let OpenMM perform n steps of its own, of which the last one begins at the present time."""
+        context: Any = self._context()
+        present = self.time + self._drifted
+        openmm.Context.setStepCount(context, self.number - n)
+        context.setTime(present - (n - 1) * h)
         variables.step_openmm(integrator, n)
-        self.end_step()  # OpenMM's clock ignores a new step size where no computation uses dt
+        openmm.Context.setStepCount(context, self.number)
+        context.setTime(present)
 
     def end_step(self) -> None:
         """Set the time to that of the end of the last step."""
@@ -254,25 +258,34 @@ class HostPropagator:
         n = self.updates.due()
         if not n:
             return state
+        box = arrays.box(self.sync.context.getState())
+        try:
+            state = self._acted(state, n, box)
+        except BaseException:
+            self.sync.context.setPeriodicBoxVectors(*np.reshape(box, (3, 3)))
+            raise
+        self._clock.end_step()
+        self.environment.divergence.keep_from(state)
+        return state
+
+    def _acted(self, state: State, n: int, box: tuple[float, ...]) -> State:
+        """Return a state after n of OpenMM's updates; `box` is that before them.
+
+        Barostats act on the true state of a processed scheme, and otherwise where the next kick does.
+        """
         there = self._true(state) if self._processed else through(self._up_to_kick, state)
         self._positions.write(there)
         if self.updates.pushes:
             self.sync.write_velocities(there)
-        box = arrays.box(self.sync.context.getState())
-        self._clock.update(self._integrator(), n)
+        self._clock.update(self._integrator(), n, self._h)
         self._timings.evaluations += self.updates.trial_energies(n)
         after = self.updates.changed(self.sync, there, box)
         if after is not there or self.updates.pushes:
             self._positions.moved()
-        if after is there:
-            if there is not state:
-                self._positions.version += 1  # those of the state
-        elif self._processed:
-            state = self._processed_from(after)
-        else:
-            state = through(self._back_from_kick, after)
-            self._clock.end_step()
-        self.environment.divergence.keep_from(state)
+        if after is not there:
+            return self._processed_from(after) if self._processed else through(self._back_from_kick, after)
+        if there is not state:
+            self._positions.version += 1  # those of the state
         return state
 
     # -- binding substeps ----------------------------------------------------------------------------------------------
