@@ -25,7 +25,10 @@ def add(x: Array, step: Array) -> Array:
 
 
 def renewed(x: Array, high: Array) -> Array:
-    """Return double-doubles with new high parts; where these are unchanged, low parts are kept, otherwise zero."""
+    """Return double-doubles with new high parts.
+
+    A low part is kept where the high part is unchanged, and is zero elsewhere.
+    """
     return np.array([high, np.where(high == x[0], x[1], 0.0)])
 
 
@@ -63,7 +66,7 @@ def two_product(a: Numbers, b: Numbers) -> tuple[Numbers, Numbers]:
 
 
 def halves(a: Numbers) -> tuple[Numbers, Numbers]:
-    """Return the high and the low half of a number, by splitting 53 bits into 26 and 27."""
+    """Return the high and the low half of a number, whose 53 bits are split into 26 and 27."""
     t = 134217729.0 * a
     high = t - (t - a)
     return high, a - high
@@ -78,7 +81,7 @@ def times(a: Numbers, b: tuple[Numbers, Numbers]) -> tuple[Numbers, Numbers]:
 
 
 def times_squared(factor: tuple[Numbers, Numbers], x: Numbers) -> tuple[Numbers, Numbers]:
-    """Return the double-double factor x², for a double-double factor and a number x."""
+    """Return the product of a double-double factor and the square of a number x, as a double-double."""
     square, square_error = two_product(x, x)
     leading, error = two_product(factor[0], square)
     return leading, error + (factor[0] * square_error + factor[1] * square)

@@ -1,7 +1,7 @@
 """Jacobi's elliptic functions and the elliptic integral of the third kind, as required for a free rigid body.
 
 All functions use the *complementary* parameter kc² = 1 - k², because near the separatrix of the rigid body kc is tiny
-and cannot be recovered from k. `scipy.special.ellipj`, which takes k², cannot be used there.
+and cannot be recovered from k. `scipy.special.ellipj`, which takes k², cannot be used near the separatrix.
 """
 
 from __future__ import annotations
@@ -155,7 +155,7 @@ RULES = (_even_rule(3), _even_rule(5))
 def sine_short(s: Numbers, x: Numbers, z: Numbers) -> Numbers:
     """Return w = sn(v)/c at s = v/c for abs(s) <= 0.3, where dw/ds = sqrt((1 - x w²)(1 - z w²)).
 
-    x and z are in [0, 1]. The Taylor series to eleventh order is evaluated at s/2, followed by one duplication.
+    x and z are in [0, 1]. The Taylor series to eleventh order is evaluated at s/2, and the argument is then doubled.
     """
     half = 0.5 * s
     u = half * half

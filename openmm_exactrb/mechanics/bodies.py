@@ -102,7 +102,7 @@ class RigidBodies:
 
     @property
     def owner(self) -> Indices:
-        """The index of the body of each particle (n_particles,), or -1 for a particle of no body."""
+        """The index of the body of each particle (n_particles,), or -1 for a particle that belongs to no body."""
         owner = np.full(self.n_particles, -1)
         owner[self.particles.rows] = np.repeat(np.arange(len(self)), np.diff(self.particles.starts))
         return owner
@@ -162,8 +162,8 @@ class RigidBodies:
     ) -> BodyState:
         """Return a state with momenta drawn at kT (kJ/mol), optionally with the centre of mass at rest.
 
-        Momenta are projected onto the constraints; the projection, which is orthogonal in the mass metric, yields their
-        canonical distribution.
+        Momenta are projected onto the constraints; the projection, which is orthogonal in the mass metric, yields the
+        canonical distribution on the constraints.
         """
         P = np.sqrt(kT * self.mass) * rng.standard_normal(state.P.shape)
         if at_rest:
@@ -203,7 +203,7 @@ class RigidBodies:
 
 
 class Part:
-    """Selected bodies, as returned by `RigidBodies.chosen`, and their mask `chosen` (N,)."""
+    """Bodies that `RigidBodies.chosen` has selected, and the mask `chosen` (N,) of the selection."""
 
     def __init__(self, bodies: RigidBodies, chosen: NDArray[np.bool_]) -> None:
         self.bodies = bodies

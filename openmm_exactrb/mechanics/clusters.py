@@ -1,9 +1,10 @@
 """Clusters of particles with distance constraints that do not make them rigid.
 
-Without forces, they move along the geodesics of their constraints. `Clusters.drift` follows a geodesic to roundoff,
-over any time, with the power series of `openmm_exactrb.kernels.compiled.clusters`, which needs numba. Any graph of
-constraints is supported; redundant constraints are omitted if they are consistent. The matrix of the constraints is
-factorised with a fixed sparse pattern, so that the cost for a tree is linear in the number of constraints.
+Without forces, these particles move along the geodesics of their constraints. `Clusters.drift` follows a geodesic to
+roundoff, over any time, with the power series of `openmm_exactrb.kernels.compiled.clusters`, which needs numba. Any
+graph of constraints is supported; redundant constraints are omitted if they are consistent. The matrix of the
+constraints is factorised with a fixed sparse pattern, so that the cost for a tree is linear in the number of
+constraints.
 """
 
 from __future__ import annotations

@@ -112,7 +112,10 @@ class DivergenceCheck:
             raise NonFiniteError(self._message(f"not finite or faster than light: {names}{more}"))
 
     def of_inner_steps(self, bodies: RigidBodies) -> Callable[[State], None]:
-        """Return a check of selected bodies within inner steps, of which a far too long outer step has thousands."""
+        """Return a check of selected bodies after inner steps.
+
+        It is needed because an outer step that is far too long has thousands of inner steps.
+        """
         half_mass, half_inertia = 0.5 / bodies.mass, 0.5 / bodies.inertia.T
 
         def check(state: State) -> None:

@@ -1,4 +1,4 @@
-"""The state of bodies and constrained clusters from the positions and velocities of their particles."""
+"""Calculation of the state of bodies and constrained clusters from positions and velocities of their particles."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def refit(bodies: RigidBodies, known: BodyState, x: Array, v: Array, moved: Indi
 
 
 def best_attitudes(masses: Array, sites: Array, relative: Array) -> Array:
-    """Return the orientations (4, n) that best fit sites to relative positions (doi:10.1107/S0567739476001873)."""
+    """Return the orientations (4, n) that best fit sites to centred positions (doi:10.1107/S0567739476001873)."""
     if len(sites) == 1:
         correlation = np.einsum("s,nsi,sj->nij", masses, relative, sites[0])
     else:

@@ -1,7 +1,7 @@
 """Reassembly of molecules that a periodic box has split, and the search for the closest bodies.
 
-For each link between two particles, independently of the others, the shift by box vectors is chosen that gives the link
-its length. Particles are then joined along a tree of links.
+For each link between two particles, independently of the others, the shift by box vectors is determined with which the
+link has its length. Particles are then joined along a tree of links.
 """
 
 from __future__ import annotations
@@ -163,7 +163,7 @@ class Shapes:
 
 
 def spanning_pairs(sites: Array, braced: bool) -> Indices:
-    """Return pairs of particles of bodies (n, k, 3): a tree and, if braced, pairs with four that span the body."""
+    """Return pairs of particles of bodies (n, k, 3): a tree and, if `braced`, all pairs with four spanning particles."""
     tree = shortest_tree(sites)
     if not braced:
         return tree

@@ -12,7 +12,7 @@ from openmm_exactrb.support.types import Array, Indices
 
 
 class Links:
-    """Pairs (m, 2) of particles that a constraint, a bond or a known shape holds at a distance.
+    """Pairs (m, 2) of particles that a constraint, a bond or a known shape holds at a certain distance.
 
     If a pair occurs more than once, its first occurrence is used. Lengths (m,) are in nm, or nan if unknown. The tree
     prefers short links, and uses the links of the mask `last` (m,) only where no other links exist.
@@ -71,7 +71,7 @@ class Links:
 
 
 def _keys(one: Indices, other: Indices, n: int) -> Indices:
-    """Return a number for each pair, independent of the order of its particles."""
+    """Return a number for each pair, which does not depend on the order of its particles."""
     return np.minimum(one, other) * n + np.maximum(one, other)
 
 

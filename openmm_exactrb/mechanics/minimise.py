@@ -27,7 +27,7 @@ Landscape = Callable[[BodyState], tuple[float, Array, Array]]
 
 
 class MinimisationWarning(UserWarning):
-    """A minimisation ended above its tolerance."""
+    """A minimisation ended with forces above its tolerance."""
 
 
 @dataclass

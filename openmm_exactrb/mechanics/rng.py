@@ -57,7 +57,7 @@ class Instant(NamedTuple):
     substep: int
 
     def uniforms(self, purpose: Purpose, n: int) -> Array:
-        """Return uniform random numbers (n,) in (0, 1) of n bodies, for a purpose."""
+        """Return uniform random numbers (n,) in (0, 1) for a purpose, one for each of n bodies."""
         first: Array = self._uniforms(purpose, 0, 1, n)[0]
         return first
 
@@ -103,7 +103,7 @@ def _kernel() -> Callable[..., None]:
 
 
 def _normals_of(u: Array) -> Array:
-    """Return standard normal numbers from uniform ones: two rows from each two neighbouring rows."""
+    """Return standard normal numbers from uniform ones: each pair of neighbouring rows yields two rows."""
     radius, angle = np.sqrt(-2.0 * np.log(u[::2])), 2.0 * np.pi * u[1::2]
     out = np.empty(u.shape)
     out[::2], out[1::2] = radius * np.cos(angle), radius * np.sin(angle)

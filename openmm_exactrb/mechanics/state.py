@@ -36,8 +36,11 @@ class State(NamedTuple):
     Attributes
     ----------
     R, P : (2, 3, N) arrays
+        Centres of mass and linear momenta; units are those of `BodyState`.
     q : (2, 4, K) array
+        Orientations.
     m : (2, 3, K) array
+        Angular momenta in the body frame.
     """
 
     R: Array
@@ -56,7 +59,10 @@ class State(NamedTuple):
         return BodyState(self.R[0], self.P[0], self.q[0], self.m[0])
 
     def renewed(self, rounded: BodyState) -> State:
-        """Return the state with new high parts; unchanged numbers keep their low parts, unchanged arrays are kept."""
+        """Return the state with new high parts.
+
+        Unchanged numbers keep their low parts, and unchanged arrays are not copied.
+        """
         pairs = zip(self, rounded, strict=True)
         return State(*(x if np.array_equal(x[0], high) else renewed(x, high) for x, high in pairs))
 

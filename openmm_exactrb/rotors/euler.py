@@ -137,7 +137,7 @@ def carlson(orbit: Orbit, nc: Array) -> Array:
 
 
 def gauss(points: int) -> ThirdKind:
-    """Return a `ThirdKind` that integrates by Gauss's rule in the amplitude, with this number of points: equation (39).
+    """Return a `ThirdKind` that integrates by Gauss's rule in the amplitude, with a number of points: equation (39).
 
     The error is of order 2 points + 1 in the step. It is large if the amplitude changes by more than about one during
     the step; near the separatrix, smaller changes suffice.

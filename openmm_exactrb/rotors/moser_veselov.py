@@ -1,4 +1,4 @@
-"""The preprocessed discrete Moser-Veselov algorithm, of order 6, 8 and 10.
+"""The preprocessed discrete Moser-Veselov algorithm, of orders 6, 8 and 10.
 
 The discrete algorithm reproduces the exact motion of a free body with other moments of inertia and another time. It is
 therefore given modified moments, 1/I~_i = s/I_i + d, with series s = 1 + ... and d = ... in the step. The norm of the

@@ -35,10 +35,11 @@ class Rotor:
     ----------
     name : str
     order : int or None
-        Order in the step; None if exact.
+        Order in the step, or None if the method is exact.
     factory : callable
         factory(inertia) -> flow, with component-first inertia (3, 1) or (3, N).
     reference : str
+        Publication that describes the method.
     keeps_energy : bool
         Whether the kinetic energy is conserved to roundoff; if not, it is conserved to the order of the flow.
     largest_angle : float

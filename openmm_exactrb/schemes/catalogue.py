@@ -335,7 +335,7 @@ def splitting(name: str | Scheme) -> Scheme:
 
 
 def _found(name: str | Scheme, schemes: Mapping[str, Scheme]) -> Scheme:
-    """Return one of the given schemes or a generated one; raise ValueError with the closest name if there is none."""
+    """Return a given scheme or a generated one; raise ValueError with the closest name if the name is unknown."""
     if isinstance(name, Scheme):
         return name
     if not isinstance(name, str):

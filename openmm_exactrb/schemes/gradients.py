@@ -4,8 +4,9 @@ Up to higher orders, a kick over b h by the forces at positions displaced by e h
 M^-1 f. With such kicks, schemes of order 4 need no negative coefficients.
 
 The terms of higher order are not the gradient of a potential and cause a drift of the energy. Positions are therefore
-displaced by only e h² F/M / k, and the change of the forces is multiplied by k. The term and the cost are the same, and
-the error is k times smaller. Rounding errors of the forces are also multiplied by k, so that k must not be large.
+displaced by only e h² F/M / k, where k is `MAGNIFICATION`, and the change of the forces is multiplied by k. The term
+and the cost are the same, and the error is k times smaller. Rounding errors of the forces are also multiplied by k, so
+that k must not be large.
 """
 
 from __future__ import annotations

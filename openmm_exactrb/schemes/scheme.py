@@ -34,6 +34,7 @@ class Scheme:
     kind : {"general", "nystroem"}
         A Nyström scheme needs a kinetic energy that is quadratic in the momenta.
     reference : str
+        Publication that describes the scheme.
     generalised : tuple of int
         Generalised orders, if the scheme is designed for a small V; otherwise empty.
     processor : tuple of (Substep, float)
@@ -43,8 +44,8 @@ class Scheme:
         A cheaper map to the true coordinates for output, or empty. Because the run continues in the inner coordinates,
         the error of this map does not accumulate.
     output_of_rigid : bool
-        Whether the output was fitted to rigid molecules alone. If so, and if drifts have inner steps, the inverse of
-        the processor is used instead.
+        Whether the output was fitted to rigid molecules alone, so that it is replaced by the inverse of the processor
+        if drifts have inner steps.
 
     Raises
     ------
@@ -160,7 +161,7 @@ class Scheme:
 
     @property
     def symmetric(self) -> bool:
-        """Whether a backward step inverts a step; false with a processor, which is symmetric only to first order in V."""
+        """Whether a backward step inverts a step; a processor, symmetric only to first order in V, makes this false."""
         return not self.processor and palindromic(self.sequence)
 
 

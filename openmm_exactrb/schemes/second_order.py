@@ -4,7 +4,7 @@ Next to its heat exchange, a symmetric splitting with steps of size h conserves
 
     H + h² (alpha v·V''v + beta f·M⁻¹f) + O(h⁴),
 
-and a step ends after drifts over y h in total, with or without kicks, that follow the exchange.
+and its step ends with drifts over y h in total, possibly with kicks between them, after the exchange.
 `openmm_exactrb.averages` computes the error of any average from these numbers.
 """
 
@@ -19,7 +19,7 @@ from openmm_exactrb.substeps import Drift, GradientKick, HeatExchange, Kick
 
 
 class SecondOrder(NamedTuple):
-    """Coefficients of the second-order error of a splitting, in squares of the step."""
+    """Coefficients of the second-order error of a splitting, in units of the squared step."""
 
     alpha: float  #: of v·V''v in the conserved energy
     beta: float  #: of f·M⁻¹f in the conserved energy
@@ -37,8 +37,8 @@ def second_order(scheme: Scheme) -> SecondOrder:
 
     Let b_j be the fractions of the kicks, and c_j their times since the heat exchange in units of the step. Then alpha
     = 1/12 - B/2 and beta = 1/12 - D/2 with B and D of `sequence.second_moments`, and a force-gradient kick of strength
-    s adds -s b³/2 to beta. A ValueError is raised unless a step has a single heat exchange, its drifts and kicks are a
-    palindrome around this exchange, and each kick is by all forces.
+    s adds -s b³/2 to beta. A ValueError is raised unless a step has a single heat exchange, its drifts and kicks are
+    palindromic around this exchange, and each kick is by all forces.
     """
     behind, before = _around_exchange(scheme)
     cycle = behind + before

@@ -100,7 +100,7 @@ def behind_exchange(sequence: Sequence) -> Sequence:
 
 
 def with_proposals(scheme: Scheme, proposal: Substep) -> Scheme:
-    """Return a scheme whose step is a proposal between two halves of a thermostat."""
+    """Return a scheme whose step is a proposal between two halves of a heat exchange."""
     return _numbered(scheme, _between_halves(((proposal, 1.0),)))
 
 
