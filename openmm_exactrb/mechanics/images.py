@@ -163,7 +163,7 @@ class Shapes:
 
 
 def spanning_pairs(sites: Array, braced: bool) -> Indices:
-    """Return pairs of particles of bodies (n, k, 3): a tree and, if `braced`, all pairs with four spanning particles."""
+    """Return pairs of particles of bodies (n, k, 3): a tree and, if `braced`, the pairs with four spanning ones."""
     tree = shortest_tree(sites)
     if not braced:
         return tree
