@@ -45,7 +45,7 @@ class Forces(Protocol):
         """Return the potential energy (kJ/mol) of all forces for a state at the present positions."""
 
     def with_energies(self) -> None:
-        """Evaluate the potential energy together with each force, because it will be needed."""
+        """Evaluate the potential energy together with the forces from now on, because it will be needed."""
 
 
 class Environment(Protocol):

@@ -41,7 +41,8 @@ class Substep:
     kicks : bool
         Whether the substep changes momenta by forces at the present positions; such substeps commute.
     additive : bool
-        Whether two successive substeps equal one substep over the sum of their times, as for every exact flow.
+        Whether two successive substeps equal one substep over the sum of their times, which is the case for every exact
+        flow.
     displaced_forces : int
         Number of force evaluations at displaced positions.
     """
@@ -95,7 +96,7 @@ class Drift(Substep):
         return kinetic.drift if self.bodies == "all" else kinetic.split[self.bodies]
 
     def oscillator(self, tau: Any) -> Matrix:
-        """Return the matrix of q' = p."""
+        """Return the matrix of the flow of q' = p."""
         return (1.0, tau), (0.0, 1.0)
 
     def device_moves(self, part: float) -> tuple[Move, ...]:
@@ -123,11 +124,11 @@ class Kick(Substep):
     additive: ClassVar[bool] = True
 
     def bind(self, environment: Environment) -> Flow[State]:
-        """Return the flow to the momenta P + tau F and m + tau N."""
+        """Return the flow that adds tau F to P, and tau N to m."""
         return kick(environment.forces(self.group), environment.divergence.finite_momenta)
 
     def oscillator(self, tau: Any) -> Matrix:
-        """Return the matrix of p' = -q."""
+        """Return the matrix of the flow of p' = -q."""
         return (1.0, 0.0), (-tau, 1.0)
 
     def device_moves(self, part: float) -> tuple[Move, ...]:
@@ -190,7 +191,7 @@ class LastForcesKick(Substep):
     weights : tuple of float
         Weights of the last forces, with the most recent one first.
     differences : tuple of float, optional
-        Weights of the last force-gradient terms: displaced forces minus undisplaced forces.
+        Weights of the last force-gradient terms, which are displaced forces minus undisplaced forces.
     """
 
     weights: tuple[float, ...]
@@ -200,7 +201,7 @@ class LastForcesKick(Substep):
     moves: ClassVar[bool] = False
 
     def bind(self, environment: Environment) -> Flow[State]:
-        """Return the flow to the momenta P + tau sum_k w_k F_k and m + tau sum_k w_k N_k."""
+        """Return the flow that adds tau sum_k w_k F_k to P, and tau sum_k w_k N_k to m."""
         advance, own = advancing(), environment.forces()
 
         def flow(state: State, tau: float) -> State:

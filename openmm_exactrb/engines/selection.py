@@ -48,7 +48,7 @@ class Selection:
         return len(self._candidates) > 1
 
     def settle(self, context: Any, integrator: openmm.CustomIntegrator, settings: Settings) -> None:
-        """Choose the engine for a Context and settings; raise ValueError if none supports them."""
+        """Choose the engine for a Context and settings; raise ValueError if no engine supports them."""
         writer = self._writer(integrator, settings)
         serving, reasons = _serving(self._candidates, lambda engine: engine.unsupported_in(context, settings))
         if not self.open:

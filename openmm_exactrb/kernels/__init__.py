@@ -7,7 +7,7 @@ from types import ModuleType
 
 
 def load(name: str) -> ModuleType:
-    """Import a module of compiled kernels, compiling it unless it is in numba's cache.
+    """Import and return a module of kernels, which are compiled unless they are in numba's cache.
 
     Parameters
     ----------

@@ -59,7 +59,7 @@ def _type(word: str) -> Any:
 
 
 def at_first_call(function: Function) -> Function:
-    """Compile a function at its first call, with sums reordered and products fused, but no other fast mathematics."""
+    """Compile a function at its first call; the only fast mathematics are reordered sums and fused products."""
     fast: Function = _cached(njit(error_model="numpy", nogil=True, fastmath=_REORDERED)(function))
     return fast
 

@@ -20,7 +20,10 @@ I2 = Annotated[NDArray[np.int64], "I2"]
 
 
 class Graph(NamedTuple):
-    """The graph of clusters of n atoms with m constraints, and the e nonzero entries of the Cholesky factor of A."""
+    """The graph of clusters of n atoms with m constraints.
+
+    The Cholesky factor of the matrix A of `compiled.clusters` has e nonzero entries.
+    """
 
     inverse: F1  #: inverse masses of the atoms (n,)
     pairs: I2  #: the two atoms of each constraint (m, 2)

@@ -180,7 +180,7 @@ def _patches(size: int, energy: Array) -> Array:
 
 
 def _torsions(forces: list[Bonded]) -> tuple[Indices, Array]:
-    """Return particles (T, 4) and coefficients (2, N, T) of cosines and sines; terms of equal particles are merged."""
+    """Return particles (T, 4) and coefficients (2, N, T) of cosines and sines, merged for each set of particles."""
     series = [series(of) for of in forces for kind, series in _SERIES.items() if isinstance(of.force, kind)]
     if not series:
         return np.zeros((0, 4), np.int64), np.zeros((2, 0, 0))

@@ -89,7 +89,7 @@ def bonded_excerpt(system: openmm.System, bodies: RigidBodies, groups: Collectio
     every = [force for force in system.getForces() if groups is None and isinstance(force, openmm.NonbondedForce)]
     forces += _acting(map(interacting_exceptions, every), bodies.owner, sites)
     touched = np.flatnonzero(np.bincount(np.concatenate([force.particles.ravel() for force in forces])))
-    members = np.flatnonzero(np.append(bodies.touched(touched), False)[bodies.owner])  # the last: no body
+    members = np.flatnonzero(np.append(bodies.touched(touched), False)[bodies.owner])  # -1: no body
     return Excerpt(system, forces, np.union1d(members, touched), bodies)
 
 

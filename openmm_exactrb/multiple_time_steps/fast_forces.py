@@ -50,8 +50,8 @@ class MultipleTimeSteps:
     Attributes
     ----------
     fast : "auto", "bonded" or tuple of int
-        With "auto", bonded forces and exceptions are fast if this is useful, and with "bonded" always; otherwise the
-        fast force groups.
+        With "auto", bonded forces and exceptions are fast where this is useful; with "bonded", they are always fast. A
+        tuple contains the fast force groups.
     scheme : Scheme or None
         Scheme of the inner steps; None for the default of the outer scheme.
     steps : int or None
@@ -66,7 +66,7 @@ class MultipleTimeSteps:
     def of(
         cls, fast: str | Sequence[int] | None, inner: str | Scheme | None, steps: int | None
     ) -> MultipleTimeSteps | None:
-        """Return settings for an integrator's arguments, or None if fast=None; raise ValueError if they are invalid."""
+        """Return settings for an integrator's arguments, or None if fast=None; raise ValueError for invalid ones."""
         scheme = None if inner is None else look_up(inner)
         if scheme is not None and ({substep for substep, _ in scheme.sequence} != {DRIFT, KICK} or scheme.processor):
             raise ValueError(

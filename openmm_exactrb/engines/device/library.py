@@ -1,7 +1,7 @@
 """The library of the device engine, which is loaded from a wheel, or compiled once into the user's cache.
 
-A wheel contains the library for one minor version of OpenMM next to this file. If it is missing, or if OpenMM has
-another minor version, the library is compiled within seconds, like numba's kernels. The name of the compiled file
+A wheel contains the library for one minor version of OpenMM next to this file. If this file is missing, or if OpenMM
+has another minor version, the library is compiled within seconds, like numba's kernels. The name of the compiled file
 contains a hash of the source, of OpenMM's version and of the compiler. The file is moved into place in one step,
 because two processes may compile at the same time.
 """
@@ -109,7 +109,7 @@ class Device:
         self._call("upload", name.encode(), ctypes.c_void_p(values.ctypes.data), ctypes.c_size_t(values.nbytes))
 
     def download(self, name: str, out: NDArray[Any]) -> NDArray[Any]:
-        """Read an array of the program into a contiguous array with the same number of bytes, and return the latter."""
+        """Read an array of the program into a contiguous array `out` of the same number of bytes, and return this."""
         self._call("download", name.encode(), ctypes.c_void_p(out.ctypes.data), ctypes.c_size_t(out.nbytes))
         return out
 

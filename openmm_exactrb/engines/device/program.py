@@ -51,9 +51,10 @@ class Launch:
     """The launch of a kernel with its arguments.
 
     An argument is an integer (int) or a name. The names "posq", "posqCorrection", "velm" and "force" denote OpenMM's
-    arrays. The name "places" denotes an array of int4: for each atom, its slot and the numbers of box vectors by which
-    it was moved, and "box" denotes nine numbers, which are zero if there is no box. "$name" denotes a scalar, "$h" the
-    step size, and "#step" the number of previous steps (long long). All other names denote arrays of the program.
+    arrays. The name "places" denotes an array of int4 that contains, for each atom, its slot and the numbers of box
+    vectors by which it was moved. The name "box" denotes nine numbers, which are zero if there is no box. "$name"
+    denotes a scalar, "$h" the step size, and "#step" the number of previous steps (long long). All other names denote
+    arrays of the program.
     """
 
     source: Source
@@ -83,7 +84,7 @@ def add(scalar: str, value: float) -> str:
 
 
 def copy(array: str, to: str) -> str:
-    """Return the operation that copies an array to another of the same size."""
+    """Return the operation that copies an array to another array of the same size."""
     return f"copy {array} {to}"
 
 
@@ -112,7 +113,7 @@ class Program:
     sequences: dict[str, list[Operation]] = field(default_factory=dict)
 
     def array(self, name: str, size: int, element: int = 8, saved: bool = False) -> str:
-        """Declare an array of at least one element, with the size of an `element` in bytes, and return its name."""
+        """Declare an array of at least one element, each of which has `element` bytes, and return the name."""
         self.arrays[name] = Array(name, max(size, 1), element, saved)
         return name
 

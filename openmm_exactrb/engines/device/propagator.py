@@ -71,7 +71,7 @@ class DevicePropagator:
 
     @property
     def last_exchange(self) -> tuple[State, State] | None:
-        """The states before and after the last heat exchange: a ValueError, because the device does not store them."""
+        """Raise a ValueError, because the device does not store the states before and after heat exchanges."""
         raise ValueError("momenta within a step are not available on the device: use engine='host'")
 
     def energy_at_exchange(self, version: object, settings: Callable[[], Any]) -> float:
@@ -178,7 +178,7 @@ class DevicePropagator:
         """
         changed = self.sync.settle()
         if self._surroundings not in (None, self._present_surroundings()):
-            self._coordinates = 0.0  # those belong to other forces
+            self._coordinates = 0.0  # the inner coordinates belong to other forces
         if version != self._version:
             self._bind(settings())
             self._version, changed = version, True
@@ -292,7 +292,7 @@ class DevicePropagator:
             self._coordinates = mark
 
     def _leave(self, settings: Any) -> None:
-        """Map inner coordinates back to true coordinates, by the exact inverse, unless they suit the new settings."""
+        """Map inner coordinates back to true coordinates, by the exact inverse, unless they belong to the settings."""
         if self._coordinates and self._coordinates != inner_mark(settings.scheme, settings.h):
             if self._version is not None:  # otherwise the coordinates belong to another program
                 self.device.run("postprocess")

@@ -68,7 +68,7 @@ class Demands:
 
 
 def parts_of(bodies: RigidBodies, demands: Demands, others: Indices | None = None) -> list[RigidPart]:
-    """Return the parts of a program for all bodies except `others` (k,): small bodies and, if any, large bodies."""
+    """Return the parts of a program for all bodies except `others` (k,): one each for small and for large bodies."""
     chosen = np.ones(len(bodies), dtype=bool)
     chosen[[] if others is None else others] = False
     small = [kind for kind in bodies.kinds if kind.particles.shape[1] <= LARGE]
@@ -78,7 +78,7 @@ def parts_of(bodies: RigidBodies, demands: Demands, others: Indices | None = Non
 
 
 class RigidPart:
-    """The part of a program for kinds of rigid bodies, with a prefix of array names and `lanes` threads per body."""
+    """The part of a program for kinds of rigid bodies, with a prefix for array names and `lanes` threads per body."""
 
     def __init__(
         self,
@@ -173,7 +173,7 @@ class RigidPart:
         return Launch(self._source, function, threads or self.n * lanes, arguments, lanes if lanes > 1 else BLOCK)
 
     def reductions(self, copied: bool, adds: bool) -> list[Operation]:
-        """Return operations that write the kinetic energies to "totals" or, if `adds` is true, add them to it."""
+        """Return operations that write the kinetic energies to "totals" or, if `adds`, add them there."""
         sums, threads = self._named("kinetic")[0], min(self.n, BLOCK * GROUPS)
         tables = self._named("kind", "kinds", "constants")
         kinetic = Launch(self._source, "kinetic", threads, (*tables, *self.state(copied), sums), BLOCK)

@@ -69,7 +69,7 @@ class Segment:
     places: bool = False
 
     def has(self, *ops: Op) -> bool:
-        """Return whether any move is of these kinds."""
+        """Return whether any move has one of these kinds."""
         return any(move.op in ops for move in self.moves)
 
 

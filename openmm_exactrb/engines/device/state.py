@@ -31,7 +31,7 @@ class DeviceState(Synchronisation):
     _behind = False  # whether the device has moved on since `state` was read
 
     def begin(self, device: Device, parts: Sequence[Any], processed: bool, single: bool) -> None:
-        """Store the state in the arrays of a program, through the parts of this program."""
+        """Use the arrays of a program on `device`, which its `parts` read and write, for the state."""
         self._device, self._parts, self._processed = device, parts, processed
         if single:
             self._same, self._rigid = (_SINGLE, _SINGLE_PART), _SINGLE

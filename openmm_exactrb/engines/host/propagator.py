@@ -338,7 +338,7 @@ class HostPropagator:
         return Kinetic(drift, displaced, kinetic.tangent, split), slow
 
     def _timed(self, drift: Flow[State], passes: bool = True) -> Flow[State]:
-        """Return a drift that marks the positions as changed and, if it `passes`, advances the time of the Context."""
+        """Return a drift that marks positions as changed and, if time `passes`, advances the time of the Context."""
         positions, clock, timings = self._positions, self._clock, self._timings
 
         def flow(state: State, tau: float) -> State:
@@ -365,5 +365,5 @@ def _checked(flow: Callable[[State, Any], State], check: Callable[[State], Any])
 
 
 def inner_mark(scheme: Scheme, h: float) -> float:
-    """Return a number that identifies the inner coordinates of a scheme at a step size, or 0 without a processor."""
+    """Return a number that identifies the inner coordinates of a scheme at a step size, or 0 if it has no processor."""
     return 1.0 + zlib.crc32(repr((scheme.processor, h)).encode()) if scheme.processor else 0.0

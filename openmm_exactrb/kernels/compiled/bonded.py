@@ -25,7 +25,7 @@ _FACTOR, _COS, _SIN, _COS_N, _SIN_N = 12, 13, 14, 15, 16
 
 @inlined
 def _between(lanes, l, i, j):
-    """Return the vector from the j-th particle of a term to the i-th one."""
+    """Return the vector from the j-th particle of a term to the i-th particle."""
     i, j = 3 * i, 3 * j
     return lanes[i, l] - lanes[j, l], lanes[i + 1, l] - lanes[j + 1, l], lanes[i + 2, l] - lanes[j + 2, l]
 

@@ -1,10 +1,9 @@
 """The sum over pairs of soft dipoles within a cutoff in a large box, with a cell list, compiled in double precision.
 
-The edges of a cell are at least half the cutoff. Each pair is computed once, in the row of one of its two dipoles. For
-this purpose, the dipoles of a block of cells and of half of the surrounding cells are collected, the dipoles within the
-cutoff are selected, and their arithmetic is vectorised. The contributions of a plane of cells to itself and to the next
-two planes are stored separately and added in a fixed order, so that results are bit-identical for any number of
-threads.
+The edges of a cell are at least half the cutoff. Each pair is computed once, in the row of one of its two dipoles. The
+dipoles of a block of cells and of half of the surrounding cells are collected, the dipoles within the cutoff are
+selected, and their arithmetic is vectorised. The contributions of a plane of cells to itself and to the next two planes
+are stored separately and added in a fixed order, so that results are bit-identical for any number of threads.
 """
 
 from __future__ import annotations

@@ -224,7 +224,7 @@ def _give_up(X, P, work):
 def advance(x, p, t, moves, first, count, graph, x1, p1):
     """Write the positions and momenta of the clusters of a kind after the time t.
 
-    A cluster becomes nan if a number is not finite, its positions are singular, or its motion is too fast.
+    A cluster becomes nan if one of its numbers is not finite, its positions are singular, or its motion is too fast.
 
     The kind has `count` clusters from column `first` on. Unless the kind `moves`, the momenta are only projected, so
     that r_c.r_c' = 0. The results x1 and p1 may overwrite x and p.

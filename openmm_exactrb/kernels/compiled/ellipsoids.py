@@ -26,7 +26,7 @@ def _pair(r, a, b, c, chi, chi_prime, sigma, shift, scale):
     K, Ka, Kb, Kc = _anisotropy(a, b, c, chi_prime)
     width = sigma / np.sqrt(H)
     R = (r - width) / shift + 1.0
-    if R <= 0.0:  # beyond the pole the formula attracts
+    if R <= 0.0:  # beyond its pole, the formula would attract
         return np.nan, np.nan, np.nan, np.nan, np.nan
     i = 1.0 / R
     i6 = (i * i * i) * (i * i * i)

@@ -47,7 +47,7 @@ def reciprocal_space(
 
 
 def uniform_field(u: Array, edges: Edges, alpha: float, dielectric: float) -> Array:
-    """Return the fields (3, n) of the surface of the sample, with the correction for the own cloud of each dipole."""
+    """Return the fields (3, n) of the surface of the sample, plus the correction for each dipole's own cloud."""
     own = 4.0 * alpha**3 / (3.0 * math.sqrt(math.pi)) * u
     own -= 4.0 * math.pi / ((2.0 * dielectric + 1.0) * math.prod(edges)) * u.sum(axis=1, keepdims=True)
     return own
@@ -59,7 +59,7 @@ def _wave_numbers(edge: float, k_max: float) -> Array:
 
 @lru_cache(maxsize=2)  # a barostat goes back and forth between two boxes
 def _spectrum(edges: Edges, alpha: float, k_max: float) -> tuple[Array, NDArray[np.int64]]:
-    """Return the weights of products of waves along x, y and z, and the number of waves along z for each x and y.
+    """Return the weights of products of waves along x, y, z, and the number of waves along z for each pair along x, y.
 
     Along an axis, waves alternate between the cosine and the sine of each wave number; each nonzero wave number also
     represents its opposite. The second wave is sin 0 = 0.
@@ -105,7 +105,7 @@ def _differentiated(waves, k):
 
 @at_first_call
 def _amplitudes(first, last, u, x, y, z, kz, counts, amplitudes):
-    """Sum u.grad of the waves over all dipoles, for the waves in given rows of x."""
+    """Write the sums of u.grad over all dipoles, for the waves in given rows of x."""
     n = u.shape[1]
     across, along = np.empty((2, n))
     for a in range(first, last):

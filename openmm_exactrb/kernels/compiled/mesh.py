@@ -59,7 +59,7 @@ def reciprocal_space(
 
 
 def fast_size(points: float) -> int:
-    """Return the smallest number that is at least `points`, up to roundoff, and has a fast Fourier transform."""
+    """Return the smallest number of mesh points with a fast transform that is at least `points`, up to roundoff."""
     return int(scipy.fft.next_fast_len(math.ceil(points * (1.0 - 1e-9)), real=True))
 
 

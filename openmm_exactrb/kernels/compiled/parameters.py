@@ -1,4 +1,4 @@
-"""Loops over functions of OpenMM's C interface, which read the parameters of its objects one by one."""
+"""Loops that call functions of OpenMM's C interface, and thus read the parameters of its objects one by one."""
 
 from llvmlite import ir
 from numba import types

@@ -1,4 +1,4 @@
-"""The rotation of one body in a step, from its unit angular momentum, compiled: the formulas of `plain.exact`."""
+"""The rotation of one body in a step, from its unit angular momentum, by the formulas of `plain.exact`, compiled."""
 
 import math
 

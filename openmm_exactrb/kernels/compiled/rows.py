@@ -25,7 +25,7 @@ class _Code:
         self.width = LANES * self.vectors
 
     def pointer(self, kind, array, at=_FIRST):
-        """Return a pointer to an element of a flat array of this type."""
+        """Return a pointer to element `at` of a flat array of type `kind`."""
         return self.builder.gep(self.context.make_array(kind)(self.context, self.builder, array).data, [at])
 
     def after(self, pointer, n):

@@ -4,7 +4,7 @@ Euler's equations are solved without a phase and without an inverse function: th
 functions carries the momentum itself from 0 to h. The orientation follows from one incremental integral of the
 third kind and the argument of a complex number.
 
-With inertia I1 <= I2 <= I3, x = m/G, G = norm(m), time s = b G t and
+With moments of inertia I1 <= I2 <= I3, x = m/G, G = norm(m), time s = b G t and
 
     b = (I3 - I1)/(I1 I3),  rho = I3 (I2 - I1)/(I2 (I3 - I1)),  sigma = 1 - rho = I1 (I3 - I2)/(I2 (I3 - I1)),
 
@@ -18,7 +18,7 @@ Exchanging two axes mirrors the body, so angles change sign if j = 1.
 
 For a short step, the changes of orientation and momentum are computed, with errors proportional to these changes.
 Orientations and momenta may be double-doubles (`openmm_exactrb.mathematics.compensated`), to which the changes are
-added; a run then has no other roundoff.
+added; a run then has no roundoff other than these errors.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ _VECTORS = 4 * ORDERS + 6 + 10
 
 
 def arrays(blocks: Blocks) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """Return the kernel's arrays of clusters by name, and the constants with which it is compiled."""
+    """Return the kernel's arrays of clusters by name, and the constants with which the kernel is compiled."""
     n, graphs, constraints = len(blocks.particles), 0, 0
     table = np.stack([blocks.starts, blocks.sizes, *np.full((3, len(blocks.starts)), -1)], axis=1)
     of_stars, ends = np.zeros(n), [np.zeros((0, 2), int)]
@@ -57,7 +57,7 @@ def arrays(blocks: Blocks) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
 
 
 def is_star(group: Group) -> bool:
-    """Return whether the kernel stores clusters of a group in private memory: stars of at most `RAYS` + 1 atoms."""
+    """Return whether clusters are stars of at most `RAYS` + 1 atoms, which the kernel stores in private memory."""
     return group.star and group.particles.shape[1] <= RAYS + 1
 
 

@@ -27,7 +27,7 @@ class InnerSteps:
         return tuple(Move(op, part * drift.part / n, late=drift.late) for op, part in ops)
 
     def evaluations(self, part: float) -> int:
-        """Return the number of evaluations of fast forces in a drift; successive drifts share the one between them."""
+        """Return the number of evaluations of fast forces in a drift; successive drifts share one evaluation."""
         kicks = [substep == KICK for substep, _ in repeated(self.sequence, self.repetitions(part))]
         return sum(kicks) - (kicks[0] and kicks[-1])
 

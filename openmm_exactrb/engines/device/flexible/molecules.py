@@ -30,7 +30,7 @@ MOST_TERMS = 400
 
 
 class NotServedError(Exception):
-    """Raised if the kernels do not support some molecules or forces; the message states which, and the remedy."""
+    """Raised if the kernels do not support some molecules or forces; the message names these and states the remedy."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def served(system: openmm.System, bodies: RigidBodies, fast: FastForces | None, 
     system : openmm.System
     bodies : RigidBodies
     fast : FastForces or None
-        The fast forces; like the bodies, a result of `found`.
+        The fast forces, which `found` returns together with the bodies.
     settings : Settings
 
     Raises

@@ -128,7 +128,7 @@ class FlexiblePart:
         return Launch(self._source, "inner_steps", THREADS * len(self.blocks), arguments, THREADS)
 
     def reductions(self, copied: bool, adds: bool) -> list[Operation]:
-        """Return operations that project the velocities, and write their kinetic energy to "totals" or add it."""
+        """Return operations that project velocities and write the kinetic energy to "totals" or, if `adds`, add it."""
         x, v = self.state(copied)
         threads, sums = min(self.n, BLOCK * GROUPS), "flexible_kinetic"
         kinetic = Launch(self._source, "flexible_kinetic", threads, ("flexible_inverse", x, v, sums), BLOCK)

@@ -26,7 +26,7 @@ class Kind(NamedTuple):
 
 
 class Copies(NamedTuple):
-    """Copies of terms of a kind, one for each block of a term: `terms` (C,), `block` (C,) and `atoms` (C, k)."""
+    """Copies of terms, one for each block that a term involves: `terms` (C,), `block` (C,) and `atoms` (C, k)."""
 
     terms: Indices
     block: Indices
@@ -112,7 +112,7 @@ def places(found: Copies, blocks: Blocks, room: Local) -> Indices:
 def arrays(
     terms: Terms, blocks: Blocks, precision: type[np.floating]
 ) -> tuple[dict[str, NDArray[Any]], dict[str, int]]:
-    """Return the kernel's arrays of terms and blocks by name, and the constants with which it is compiled."""
+    """Return the kernel's arrays of terms and blocks by name, and the constants with which the kernel is compiled."""
     kinds = kinds_of(terms, precision)
     found = {name: copies(kind.particles, blocks) for name, kind in kinds.items()}
     room = local(blocks, list(found.values()))
