@@ -1,4 +1,4 @@
-"""Runs that survive accidents: checkpoints, and output files that are truncated to the last one when a run is resumed.
+"""Runs that survive interruptions: checkpoints, and output files that a resumed run truncates to the last checkpoint.
 
 `Run` in `run` is the public class. `identity` determines which run a checkpoint belongs to, `checkpoint` is the file,
 `outputs` are the files of the reporters, `lock` keeps other processes out of the folder, and `signals` records requests

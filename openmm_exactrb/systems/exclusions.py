@@ -21,14 +21,15 @@ def exclude_within(system: openmm.System, bodies: Sequence[Sequence[int]]) -> in
     and barostats do not change either, because OpenMM scales molecules as a whole. The energy changes by a constant,
     which depends on the parameters of the Context if the energy within bodies does, as in free energy calculations.
 
-    Every `NonbondedForce` and `GayBerneForce` gets exceptions with zero parameters, and every `CustomNonbondedForce`
-    exclusions, for the same pairs, because on GPUs OpenMM requires equal exclusions of all forces. Existing exceptions
-    within bodies, and their parameter offsets, become zero. Call this function before the Context is created.
+    Every `NonbondedForce` and `GayBerneForce` receives exceptions with zero parameters, and every
+    `CustomNonbondedForce` receives exclusions of the same pairs, because OpenMM requires equal exclusions in all forces
+    on GPUs. Existing exceptions within bodies, and their parameter offsets, become zero. Call this function before the
+    Context is created.
 
     Parameters
     ----------
     system : openmm.System
-        The System, which is changed.
+        The System, which is changed in place.
     bodies : sequence of sequences of int
         Particles of the bodies, as for ``bodies=`` of the integrators. They must move as rigid bodies. The smallest
         distance between opposite sides of a periodic box must exceed the length of each body plus the cutoff. A virtual
@@ -58,7 +59,7 @@ def exclude_within(system: openmm.System, bodies: Sequence[Sequence[int]]) -> in
 
 
 def _except(force: Any, within: list[Pair]) -> None:
-    """Give a force exceptions of zero: charge, size and depth, or for a GayBerneForce size and depth."""
+    """Add exceptions without interaction to a force: charge, size and depth, or size and depth for a GayBerneForce."""
     numbers = (0.0, 1.0, 0.0) if isinstance(force, openmm.NonbondedForce) else (1.0, 0.0)
     present = {_sorted(force.getExceptionParameters(i)[:2]): i for i in range(force.getNumExceptions())}
     for pair in within:
