@@ -32,7 +32,7 @@ def dielectric_constant(
         eps = (1 + (Q + 2) x)/(1 + (Q - 1) x).
 
     The formula holds for every dipole interaction that gives a uniform polarisation the reaction field of these
-    surroundings (M. Neumann, Mol. Phys. 50, 841 (1983)). In conducting surroundings (an Ewald sum, or a reaction field
+    surroundings (Neumann, Mol. Phys. 50, 841 (1983)). In conducting surroundings (an Ewald sum, or a reaction field
     with infinite dielectric constant) it reduces to eps = 1 + 3 x; without a reaction field it is the Clausius-Mossotti
     formula.
 
@@ -68,8 +68,8 @@ def dielectric_constant(
 
     Notes
     -----
-    Without a field, <M> is zero. It is not estimated from the run, because deviations from the mean of a short run
-    underestimate the fluctuations.
+    Without a field, <M> is zero. This mean is not estimated from the run, because deviations from the mean of a short
+    run underestimate the fluctuations.
     """
     M = checks.array(moments, "moments", _ASKED)
     if M.ndim != 2 or M.shape[1] != 3:

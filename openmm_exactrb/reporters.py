@@ -74,8 +74,8 @@ class EnergyReporter(_Lines):
     reportInterval : int
         Number of steps between two lines.
     append : bool, optional
-        Append to the lines of an existing file, and write the names of the columns only if it is empty. A ValueError is
-        raised if the last line of the file is incomplete, for example because a script was killed.
+        Whether to append to an existing file; the names of the columns are then written only if the file is empty. A
+        ValueError is raised if the last line of the file is incomplete, for example because a script was killed.
 
     Notes
     -----
@@ -87,7 +87,7 @@ class EnergyReporter(_Lines):
         super().__init__(file, reportInterval, ("step", "time (ps)", *_COLUMNS, *_SUMS), append)
 
     def describeNextReport(self, simulation: Any) -> dict[str, Any]:
-        """Return when the next line is due and which data it needs, as OpenMM requires.
+        """Return the number of steps to the next line, and the data that it needs, as OpenMM requires.
 
         Raises
         ------
@@ -141,12 +141,12 @@ class MomentReporter(_Lines):
         super().__init__(file, reportInterval, ("step", "time (ps)", "Mx", "My", "Mz"), append)
 
     def describeNextReport(self, simulation: Any) -> dict[str, Any]:
-        """Return when the next line is due and which data it needs, as OpenMM requires.
+        """Return the number of steps to the next line, and the data that it needs, as OpenMM requires.
 
         Raises
         ------
         ValueError
-            If there is not one charge for each particle, or a molecule is not neutral.
+            If the number of charges is not the number of particles, or a molecule is not neutral.
         """
         self._links_of(simulation)
         return {"steps": self._steps_left(simulation), "periodic": False, "include": ["positions"]}

@@ -13,7 +13,7 @@ from openmm_exactrb.openmm_access import arrays
 
 
 def loadState(target: app.Simulation | openmm.Context, source: str | os.PathLike[str] | openmm.State) -> None:
-    """Load a State that was saved under another integrator.
+    """Load a State that was saved with another integrator.
 
     OpenMM's ``simulation.loadState(file)`` and ``context.setState(state)`` fail with "Unknown property 'version'" if
     the new integrator is a CustomIntegrator and the old one is not. This function avoids the failure. To load a State
@@ -24,7 +24,7 @@ def loadState(target: app.Simulation | openmm.Context, source: str | os.PathLike
     target : openmm.app.Simulation or openmm.Context
     source : str, path or openmm.State
         A file that ``simulation.saveState`` wrote, or a State. Its positions, velocities, box, time and step count are
-        loaded, and so are those of its parameters that the target has too.
+        loaded, and so are those parameters that the target has too.
 
     Raises
     ------

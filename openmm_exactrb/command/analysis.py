@@ -36,7 +36,7 @@ def summary(simulation: Any, job: Run, ensemble: str) -> Iterator[str]:
 
 
 def draw(folder: Path, ensemble: str) -> None:
-    """Draw the temperatures, and the energy or the density, against time if matplotlib is installed."""
+    """Plot the temperatures, and the energy or the density, against time if matplotlib is installed."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure

@@ -36,9 +36,9 @@ def described(
     ----------
     system : openmm.System
     positions : Quantity, optional
-        Positions (n_particles, 3). Without them, shapes follow from constraints alone.
+        Positions (n_particles, 3). Without positions, shapes follow from constraints alone.
     topology : openmm.app.Topology, optional
-        Provides the names of atoms and residues.
+        Topology from which the names of atoms and residues are taken.
     """
     names = _Names(system, topology)
     yield from _particles(system)
@@ -111,7 +111,7 @@ def _particles(system: openmm.System) -> Iterator[str]:
 
 
 def _bodies(bodies: RigidBodies, names: _Names) -> Iterator[str]:
-    """Yield lines on rigid bodies, constrained clusters, single particles and degrees of freedom."""
+    """Yield lines about rigid bodies, constrained clusters, single particles and degrees of freedom."""
     several: dict[tuple[int, bool, bool], list[Kind]] = {}
     for kind in bodies.kinds:
         if len(kind.masses) > 1:

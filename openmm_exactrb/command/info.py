@@ -30,7 +30,7 @@ _LIBRARIES = ("numpy", "scipy", "numba", "matplotlib")
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the files, and the options for their forces."""
+    """Add the command-line arguments for files and for the forces on their molecules."""
     inputs.add_options(parser)
 
 

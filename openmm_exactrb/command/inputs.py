@@ -61,7 +61,7 @@ class Box:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the files and the options of molecules; options that are not given become None."""
+    """Add the command-line arguments for files and molecules, which are None if they are not given."""
     positive, shown = arguments.positive, {name: f"({of})" for name, of in DEFAULTS.items()}
     add = parser.add_argument_group("molecules").add_argument
     files = "PDB or PDBx; system.xml and state.xml of OpenMM; prmtop and inpcrd of Amber; top and gro of GROMACS"

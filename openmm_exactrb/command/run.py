@@ -41,7 +41,7 @@ _DEFAULTS: dict[str, Any] = {
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments and options of the command."""
+    """Add the command-line arguments of ``exactrb run``."""
     inputs.add_options(parser)
     times, positive, shown = arguments.time, arguments.positive, {name: f"({of})" for name, of in _DEFAULTS.items()}
     add = parser.add_argument_group("dynamics").add_argument

@@ -27,7 +27,7 @@ _MOVE = 0.05  # ps between two moves of the barostat at any step: OpenMM's 25 st
 
 
 def couple(system: openmm.System, args: argparse.Namespace) -> None:
-    """Add the barostat of the ensemble to a System; raise ValueError if the System does not allow one."""
+    """Add the barostat of the ensemble to a System; raise ValueError if the System does not allow a barostat."""
     others = [name for force in system.getForces() if (name := type(force).__name__) in UPDATES and name != _REMOVER]
     if others:
         raise ValueError(f"remove the {', '.join(others)} from the System: --ensemble nvt or npt adds its own")

@@ -15,7 +15,7 @@ _TEMPERATURE = 300.0
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the files and options of molecules, and the options of tuning."""
+    """Add the command-line arguments for molecules and for tuning."""
     inputs.add_options(parser)
     positive, time = arguments.positive, arguments.time
     add = parser.add_argument_group("tuning").add_argument

@@ -113,11 +113,11 @@ class BodyAccess:
         return _temperature(sum(thermal_energies(propagator, propagator.sync.state)), sum(freedom_of(propagator)))
 
     def setVelocitiesToTemperature(self, temperature: float | unit.Quantity, randomSeed: int | None = None) -> None:
-        """Draw the momenta of the bodies from the canonical distribution.
+        """Draw the momenta of the bodies from the canonical distribution at a temperature.
 
-        The distribution is correct for linear bodies, redundant constraints and bodies without constraints. With a
-        CMMotionRemover the total momentum is 0. ``Context.setVelocitiesToTemperature`` calls this method if OpenMM's
-        constraint solver does not converge or bodies are named by hand.
+        The distribution is also correct for linear bodies, for redundant constraints and for bodies without
+        constraints. With a CMMotionRemover the total momentum is 0. ``Context.setVelocitiesToTemperature`` calls this
+        method if OpenMM's constraint solver does not converge or bodies are named by hand.
 
         Parameters
         ----------

@@ -52,7 +52,7 @@ class EvaluatedForces(ABC):
 
 
 class ContextForces(EvaluatedForces):
-    """The forces of given force groups (bits); `counter` is the name of the number of evaluations in the timings."""
+    """The forces of given force groups (bits); `counter` is the attribute of the timings that counts evaluations."""
 
     def __init__(self, positions: Positions, groups: int, timings: Timings, counter: str = "evaluations") -> None:
         super().__init__(positions)

@@ -1,4 +1,4 @@
-"""Synchronisation of bodies with their Context, which pulls a user's changes and pushes the results of steps."""
+"""Synchronisation of bodies with their Context: a user's changes are pulled, and the results of steps are pushed."""
 
 from __future__ import annotations
 
@@ -84,8 +84,8 @@ class Synchronisation:
 
     The object holds only weak references to the Context and the integrator, which own it. The variables of the
     integrator carry the full state in checkpoints and States. A ValueError is raised if there are no positions, no
-    particle can move, or bodies are not supported or do not match the positions. `pairs` is an argument of
-    `find_bodies`; `bodies` is its result, if known.
+    particle can move, or bodies are not supported or do not match the positions. The argument `pairs` is passed to
+    `find_bodies`; `bodies` is the result of this function, if known.
 
     Attributes
     ----------
@@ -119,7 +119,7 @@ class Synchronisation:
         self._shapes = Shapes(self.bodies)
         self.particles, self._v = x.copy(), v.copy()  # arrays that are written to OpenMM
         self.positions = Positions(context, self.bodies, self.particles)
-        self._seen: tuple[Array, Array] | None = None  # in the Context when it last had `state`
+        self._seen: tuple[Array, Array] | None = None  # values in the Context when it last held `state`
         self.state: State
         self.inner: State | None = None
         self._coordinates = 0.0  # of the inner state
@@ -222,7 +222,7 @@ class Synchronisation:
         self.inner = State(*map(add, self.inner, changes)) if small else None
 
     def push(self) -> None:
-        """Write the state into the Context; positions are written only if the Context has others."""
+        """Write the state into the Context; positions are written only if the Context has other positions."""
         self.positions.write(self.state)
         self.write_velocities(self.state)
         self._seen = self.held()
@@ -241,7 +241,7 @@ class Synchronisation:
         return variables.written(variables.own_numbers(self._integrator()))
 
     def saved(self, x: Array, v: Array) -> State | None:
-        """Return the state from a loaded checkpoint or State, or None; x and v are those in the Context."""
+        """Return the state from a loaded checkpoint or State, if any; x and v are positions and velocities."""
         return variables.read(self._integrator(), self.bodies)
 
     def _read_inner(self) -> None:
@@ -292,7 +292,10 @@ class Synchronisation:
 
 
 def require_positions(context: openmm.Context) -> None:
-    """Raise ValueError if positions were never set, which OpenMM checks at a request for forces, even of no group."""
+    """Raise ValueError if positions were never set.
+
+    OpenMM checks this when forces are requested, here for no force group.
+    """
     try:
         context.getState(forces=True, groups=0)
     except openmm.OpenMMException as error:

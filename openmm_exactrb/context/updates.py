@@ -97,12 +97,12 @@ class ContextUpdates:
 
     @property
     def period(self) -> int:
-        """Number of steps between two actions of barostats or thermostats; 0 for never."""
+        """Number of steps between two actions of barostats or thermostats; 0 if they never act."""
         return 1 if self.pushes else math.gcd(*(barostat.getFrequency() for barostat in self._barostats))
 
     @property
     def removal(self) -> int:
-        """Number of steps between two removals of motion; 0 for never."""
+        """Number of steps between two removals of motion; 0 if motion is never removed."""
         return math.gcd(*self._removals)
 
     def remove_motion(self, mass: Array, state: State, number: int) -> State:
@@ -126,7 +126,7 @@ class ContextUpdates:
         return waiting
 
     def trial_energies(self, n: int) -> int:
-        """Return how many energies the barostats evaluate in n updates of OpenMM: two for each trial volume."""
+        """Return the number of energies that barostats evaluate in n updates of OpenMM: two for each trial volume."""
         trials = 0
         for k, barostat in enumerate(self._barostats):
             if period := barostat.getFrequency():

@@ -1,8 +1,8 @@
-"""Persistent variables, which OpenMM's checkpoints, States and XML contain, declared in one list.
+"""Declaration of the persistent variables, which OpenMM's checkpoints, States and XML contain.
 
 Their names and order define the format of checkpoints. All integrators of the package have the variables of all its
-thermostats, so that an integrator can load a checkpoint or State of another kind of integrator. Variables that only a
-single thermostat has come last, and change the format. An OpenMM checkpoint contains numbers without names, which
+thermostats, so that an integrator can load a checkpoint or State of another kind of integrator. The variables of a
+single thermostat are declared last, and change the format. An OpenMM checkpoint contains numbers without names, which
 OpenMM loads into any variables; the first number therefore also identifies the format.
 """
 
@@ -51,8 +51,8 @@ def declare(integrator: openmm.CustomIntegrator, own: Sequence[str] = (), memory
 
     A copy that OpenMM creates, from XML or within a CompoundIntegrator, has no Python part: its steps would advance the
     clock without moving the bodies. Positions and velocities therefore become nan unless Python performs the step.
-    `own` are the names of numbers that not all integrators have. For a processed scheme, which also has an inner state,
-    `memory` is the number of stored forces.
+    `own` lists the names of numbers that not all integrators have. For a processed scheme, which also has an inner
+    state, `memory` is the number of stored forces.
     """
     stored = _PREFIX + _STORED
     for name in _VECTORS:

@@ -77,7 +77,7 @@ def on_constraints(particles: Indices, masses: Array, distances: Array, position
 
 
 def kinds_from_positions(particles: Indices, masses: Array, positions: Array) -> list[Kind]:
-    """Return the kinds of bodies with these masses, with shapes taken from their positions.
+    """Return the kinds of bodies with given masses, whose shapes are taken from their positions.
 
     If all bodies agree with the first within `RIGIDITY`, they share its shape; otherwise each body has a separate
     shape.
@@ -136,7 +136,7 @@ def _kept_flat(distances: Array, places: Array) -> bool:
     """Return whether constraints keep a flat or straight body with given coordinates (k, 1 or 2) in that shape.
 
     They do if there is a stress on the constraints that is in equilibrium at each particle and resists all motions out
-    of the plane (R. Connelly, Invent. Math. 66 (1982) 11). Such a stress is a positive definite matrix whose entries
+    of the plane (Connelly, Invent. Math. 66 (1982) 11). Such a stress is a positive definite matrix whose entries
     vanish for unconstrained distances. The stress closest to that of a body with all distances constrained is tested;
     the result is False for bodies of more than `_LARGEST_FLAT` particles.
     """
@@ -184,7 +184,7 @@ def _kind(particles: Indices, masses: Array, distances: Array) -> Kind:
 def _scaled(distances: Array, weights: Array, root: Array) -> tuple[Array, Array]:
     """Return the three largest eigenvalues (3,), 0 if small, and eigenvectors (k, 3) of the Gram matrix of positions.
 
-    The positions have the given distances and the weighted mean 0, and are scaled by the square roots of the weights.
+    The positions have the given distances and a weighted mean of 0, and are scaled by the square roots of the weights.
     """
     square = distances**2
     to_centre = square @ weights

@@ -1,4 +1,4 @@
-"""Many independent runs on dask.distributed.
+"""Many independent runs with dask.distributed.
 
 A `Job` is a function with its arguments. `run` and `as_completed` send jobs to worker processes, on this machine or on
 a cluster, restart the jobs of a worker that dies, and store every result in a folder. A script that is interrupted and

@@ -45,7 +45,7 @@ def as_completed(
         Address of a dask scheduler, such as "tcp://node:8786". Its workers must have one thread each, the same version
         of this package, and the modules of the functions. By default, worker processes are started on this machine.
     workers : int, optional
-        Number of processes on this machine, each with one thread; one per core by default.
+        Number of processes on this machine, each with one thread; by default one process per core.
     progress : bool, optional
         Whether to show a progress bar on stderr.
 

@@ -38,7 +38,7 @@ class Job:
     ------
     TypeError
         If the function cannot be found by its name in its module or does not accept the arguments, or if an argument is
-        of another type.
+        of an unsupported type.
 
     Attributes
     ----------
@@ -120,7 +120,7 @@ def sweep(function: Callable[..., Any], axes: Mapping[str, Iterable[Any]], **fix
     Raises
     ------
     TypeError
-        As for a `Job`, or if the values of an axis are a str.
+        If a `Job` cannot be created, or the values of an axis are a str.
 
     Examples
     --------

@@ -1,7 +1,7 @@
 """Vectors of an OpenMM State as numpy arrays, without units.
 
 `State.getForces(asNumpy=True)` and similar methods spend about 12 microseconds on units and attributes, which matters
-if a force evaluation takes 40 microseconds. Their inner call is therefore made directly.
+if a force evaluation takes 40 microseconds. The inner calls of these methods are therefore used directly.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def box(state: openmm.State) -> tuple[float, ...]:
 
 
 def periodic_box(source: openmm.System | openmm.Context) -> Array | None:
-    """Return the box vectors (3, 3) of a Context, or the default of a System, in nm; None without a periodic box."""
+    """Return the box vectors (3, 3) of a Context, or the defaults of a System, in nm; None without a periodic box."""
     system = source if isinstance(source, openmm.System) else source.getSystem()
     if not system.usesPeriodicBoundaryConditions():
         return None
@@ -66,7 +66,7 @@ def periodic_box(source: openmm.System | openmm.Context) -> Array | None:
 
 
 def alike(rows: NDArray[Any]) -> tuple[Indices, Indices]:
-    """Return the first row of each group of bit-identical rows, in order, and the group of each row."""
+    """Return the index of the first row of each group of bit-identical rows, in order, and the group of each row."""
     rows = np.ascontiguousarray(rows)
     keys = rows.view(np.dtype((np.void, rows.itemsize * rows.shape[1])))[:, 0]
     _, first, group = np.unique(keys, return_index=True, return_inverse=True)

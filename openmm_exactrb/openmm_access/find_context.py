@@ -1,4 +1,4 @@
-"""The Context of an integrator, for which OpenMM has no method."""
+"""A search for the Context of an integrator, for which OpenMM has no method."""
 
 from __future__ import annotations
 

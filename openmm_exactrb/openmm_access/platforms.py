@@ -46,7 +46,7 @@ def platform_of(name: str | openmm.Platform | None = None) -> openmm.Platform:
 
 @cache
 def why_not_by_default(name: str) -> str | None:
-    """Return why a platform is used only if the user names it, or None."""
+    """Return the reason why a platform is used only if the user names it, or None."""
     if name != "OpenCL":
         return None
     system = openmm.System()
@@ -59,7 +59,7 @@ def why_not_by_default(name: str) -> str | None:
 
 
 def no_gpu(context: Any) -> str | None:
-    """Return why the platform of a Context is not a GPU, or None."""
+    """Return the reason why the platform of a Context is not a GPU, or None."""
     platform = context.getPlatform()
     name = platform.getName()
     if name not in DEVICES:

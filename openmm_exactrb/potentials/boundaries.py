@@ -1,6 +1,6 @@
 """Boundary conditions of dipoles: none, a dielectric beyond a cutoff, or all periodic images.
 
-A switch S ends the energy of pairs of nearest images at the cutoff. The spheres have a separate switch; see
+A switch S takes the energy of a pair of nearest images to zero at the cutoff. The spheres have a separate switch; see
 `openmm_exactrb.potentials.spheres`. S is proportional to the integral of (t (1 - t))^6 over t from 0 to s, where s
 falls linearly in r² from 1 at `switch` to 0 at `cutoff`. Forces then have five continuous derivatives, which schemes of
 order 6 require.
@@ -90,8 +90,8 @@ class ReactionField(_Periodic):
     Parameters
     ----------
     cutoff, switch : float, optional
-        Distances at which the energy of a pair ends and its switch begins, in nm; by default half the shortest edge of
-        the box, and three quarters of the cutoff.
+        Cutoff of the energy of a pair and start of its switch, in nm; by default half the shortest edge of the box and
+        three quarters of the cutoff.
     dielectric : float
         Relative permittivity around the cutoff sphere: infinity for a conductor, 1 for truncation without a field.
 
@@ -112,30 +112,29 @@ class ReactionField(_Periodic):
 
 @dataclass(frozen=True, kw_only=True)
 class Ewald(_Periodic):
-    """A periodic box with interactions of all images (de Leeuw, Perram and Smith, Proc. R. Soc. A 373, 27 (1980)).
+    """A periodic box with interactions between all images (de Leeuw, Perram and Smith, Proc. R. Soc. A 373, 27 (1980)).
 
     The sum in reciprocal space is direct, or uses a mesh (smooth particle mesh Ewald). Omitted parameters are chosen
     such that the sum is fast and meets the tolerance; ``getParameters`` returns them. The spheres of `dipole_fluid`
     have a separate cutoff. Forces are the exact gradient of the energy. In a fixed box the energy is therefore smooth
-    for any tolerance, and a symplectic scheme conserves it. If the box changes, the energy jumps by up to about the
+    for any tolerance, and a symplectic scheme conserves it. If the box changes, the energy jumps by at most about the
     tolerance. An Ewald sum needs the compiled kernel, or ``kernel="openmm"`` of `dipole_fluid`.
 
     Parameters
     ----------
     cutoff, switch : float, optional
-        Distances at which the energy of a pair ends and its switch begins, in nm. The default cutoff is the fastest one
-        for a mesh, and half the shortest edge of the box for the direct sum; the switch begins at three quarters of the
-        cutoff.
+        Cutoff of the energy of a pair and start of its switch, in nm. The default cutoff is the fastest one for a mesh,
+        and half the shortest edge of the box for the direct sum; the switch begins at three quarters of the cutoff.
     dielectric : float
         Relative permittivity around all images: infinity for a conductor, 1 for vacuum.
     tolerance : float
-        Error of the dipoles' forces, fields and torques, relative to their root mean square in a liquid or gas.
+        Error of forces, fields and torques, relative to their root mean square in a liquid or gas.
     method : {"auto", "direct", "mesh"}
-        "auto" selects the faster one.
+        Method of the sum in reciprocal space; "auto" selects the faster method.
     mesh : int or (3,) int, optional
         Numbers of mesh points along the edges, with prime factors up to 5. Implies "mesh".
     order : int, optional
-        Even order of the B-splines, from 4 to 16, by default 8 or 10: forces have order - 4 continuous derivatives.
+        Even order of the B-splines, from 4 to 16, by default 8 or 10. Forces have order - 4 continuous derivatives.
         Implies "mesh".
 
     Raises

@@ -43,7 +43,7 @@ def soft_dipole_force(
     Parameters
     ----------
     arrows : sequence of (centre, tip)
-        Particles or virtual sites of each body: its centre, and a point at `length` from it along its dipole.
+        Particles or virtual sites of each body: the centre, and the tip at a distance of `length` along the dipole.
     strength : float
         Dipole moment in sqrt(kJ/mol nm³).
     length : float
@@ -63,12 +63,11 @@ def soft_dipole_force(
         Surroundings of the sample: nothing, a dielectric beyond a cutoff, or all periodic images. The cutoff and the
         switch of a boundary apply to the dipoles only.
     sphere_cutoff, sphere_switch : float, optional
-        Distances at which the energy of two spheres in a box ends and its switch begins, in nm. The default cutoff is 3
-        sigma, or half the shortest edge of the box if that is less; the switch begins at three quarters of the cutoff.
-        A run ends with an error if a barostat shrinks the box below twice a cutoff; pass shorter cutoffs with a
-        barostat.
+        Cutoff of the energy of two spheres in a box and start of its switch, in nm. The default cutoff is 3 sigma, or
+        half the shortest edge of the box if that is less; the switch begins at three quarters of the cutoff. A run ends
+        with an error if a barostat shrinks the box below twice a cutoff; pass shorter cutoffs with a barostat.
     shifted : bool
-        Whether to subtract the energy of two spheres at the cutoff from their energy, before the switch.
+        Whether to subtract the energy of two spheres at the cutoff from their energy before the switch is applied.
     kernel : {"auto", "openmm", "bonds", "compiled"}
         Type of the force. "auto" or "compiled": a kernel in double precision on all cores, about fifty times faster on
         a CPU. "openmm": a `CustomHbondForce` if there is a cutoff, which OpenCL, CUDA and HIP evaluate on the device.
@@ -210,7 +209,7 @@ class SoftDipoles:
         (1/nm), or the steps of a mesh along the edges (nm) and the order of its splines; permittivity around all
         images.
     wca : bool
-        Whether the spheres' energy ends at its minimum.
+        Whether the energy of the spheres is truncated at its minimum.
     spheres : SphereCutoff, optional
         Cutoff of the spheres if there is a truncation; by default that of the dipoles.
     """

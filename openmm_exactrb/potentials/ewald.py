@@ -32,8 +32,8 @@ class EwaldParameters(NamedTuple):
     """Parameters of an Ewald sum of dipoles; lengths in nm, their inverses in 1/nm."""
 
     method: str  #: "direct" (all waves) or "mesh" (smooth particle mesh Ewald)
-    cutoff: float  #: distance at which the energy of a pair ends
-    switch: float  #: distance at which its switch begins
+    cutoff: float  #: cutoff of the energy of a pair
+    switch: float  #: start of the switch of this energy
     alpha: float  #: inverse width of the Gaussians
     k_max: float  #: largest wave number of the direct sum, 0 for a mesh
     order: int  #: order of the splines of a mesh, 0 for the direct sum

@@ -1,9 +1,9 @@
 """A priori root mean square errors of an Ewald sum of dipoles.
 
-The errors are those of dipoles with random positions and directions, as in J. Kolafa and J. W. Perram, Mol. Simul. 9,
-351 (1992), divided by the forces and fields of random dipoles on a cubic lattice. The errors of liquids are up to 2.4
-times as large; those of a gas with a cutoff only slightly longer than the distance between dipoles are up to 3.1 times
-as large.
+The errors are those of dipoles with random positions and directions, as in Kolafa and Perram, Mol. Simul. 9, 351
+(1992), divided by the forces and fields of random dipoles on a cubic lattice. The errors in liquids are up to 2.4 times
+as large; those in a gas with a cutoff only slightly longer than the distance between dipoles are up to 3.1 times as
+large.
 """
 
 from __future__ import annotations

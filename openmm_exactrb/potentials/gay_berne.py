@@ -31,7 +31,7 @@ class GayBerne:
         Diameter (nm), and well depth of two crossed ellipsoids (kJ/mol). The shift is sigma, or for a disc its
         thickness kappa sigma.
     cutoff, switch : float
-        Distances (nm) between centres at which the energy of a pair ends and its switch begins.
+        Cutoff of the energy of a pair and start of its switch, as distances between centres (nm).
     """
 
     # Pickles in System XML name this module and the attributes.

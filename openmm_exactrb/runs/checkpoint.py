@@ -35,7 +35,7 @@ class Checkpoint(NamedTuple):
     state: bytes
 
     def check_same_run(self, identity: Mapping[str, str], file: Path) -> None:
-        """Raise ValueError if the run has another identity than the checkpoint."""
+        """Raise ValueError if the identity of the run differs from that of the checkpoint."""
         for name in {**self.identity, **identity}:
             was, now = self.identity.get(name, "not there"), identity.get(name, "not there")
             if was != now:

@@ -1,4 +1,4 @@
-"""The identity of a run: everything that must be the same when it is resumed."""
+"""The identity of a run: all values that must be the same when it is resumed."""
 
 from __future__ import annotations
 

@@ -44,9 +44,9 @@ class Run:
     folder : str or path
         Folder of the files, created when the run begins.
     resume : bool, optional
-        Continue from the checkpoint in the folder, if there is one.
+        Whether to continue from the checkpoint in the folder, if it has one.
     overwrite : bool, optional
-        Replace the files of an earlier run that is not resumed.
+        Whether to replace the files of an earlier run that is not resumed.
     every : float, optional
         Seconds between two checkpoints; infinity for a single checkpoint at the end.
     settings : mapping, optional
@@ -134,8 +134,8 @@ class Run:
         Parameters
         ----------
         reporter : callable
-            Creates the reporter from the path, the interval and ``append=``, for example `EnergyReporter` or OpenMM's
-            DCDReporter and StateDataReporter. Use `functools.partial` for further options.
+            Class or function that creates the reporter from the path, the interval and ``append=``, for example
+            `EnergyReporter` or OpenMM's DCDReporter and StateDataReporter. Use `functools.partial` for further options.
         name : str
             Name of the file in the folder.
         interval : int
@@ -164,8 +164,8 @@ class Run:
         Parameters
         ----------
         simulation : openmm.app.Simulation
-            A Simulation at its start. When a run is resumed, the state of the Simulation is ignored, except that its
-            positions define the shape of bodies named by hand, and must be those of the first start.
+            A Simulation at its start. When a run is resumed, the state of the Simulation is ignored, except for its
+            positions. These define the shape of bodies named by hand, and must be those of the first start.
         until : int
             Number of the last step.
         progress : callable, optional
@@ -184,7 +184,7 @@ class Run:
         OSError
             If a file cannot be written, for example on a full disk. The run can be resumed.
         SystemExit
-            After one of these signals.
+            After SIGINT, SIGTERM or SIGHUP.
         """
         if not isinstance(simulation, app.Simulation):
             raise ValueError(f"advance() takes an openmm.app.Simulation, not {type(simulation).__name__}")

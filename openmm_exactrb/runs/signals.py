@@ -40,7 +40,7 @@ class Signals:
 
 
 class LostInterrupts:
-    """Record the KeyboardInterrupt of Ctrl-C if Python drops it, in a destructor or a callback from C, for `check`."""
+    """Record a KeyboardInterrupt that Python drops in a destructor or a callback from C, so that `check` raises it."""
 
     def __init__(self) -> None:
         self.lost = False

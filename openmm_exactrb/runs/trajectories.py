@@ -1,6 +1,6 @@
 """Corrections to OpenMM's trajectory reporters: the step of the first frame, and a check for lost frames.
 
-Both corrections need private members of these reporters.
+Both corrections use private members of these reporters.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ def whole(value: Any, name: str, least: int = 1, of: str = "") -> int:
 
 
 def force_groups(value: Any) -> int:
-    """Return force groups, given as a set or as bits, as bits; raise ValueError for anything else."""
+    """Return force groups, given as a set or a bit mask, as a bit mask; raise ValueError for anything else."""
     if _index(value) and -(2**31) <= value < 2**32:
         return int(value)
     groups: list[Any] = [*value] if _iterable(value) else [None]

@@ -44,8 +44,8 @@ def ellipsoids(
     Parameters
     ----------
     n : int
-        Number of ellipsoids, on a close-packed lattice stretched along z, all parallel to z. The lattice has no
-        vacancies for 4 k² l ellipsoids, with k about kappa times l: 36, 288 or 972 for kappa = 3.
+        Number of ellipsoids, which are parallel to z and on a close-packed lattice stretched along z. The lattice has
+        no vacancies for 4 k² l ellipsoids, with k about kappa times l: 36, 288 or 972 for kappa = 3.
     seed : int
         Seed of the positions of vacancies in the lattice, and of the angles about the axes.
     kappa : float
@@ -61,7 +61,7 @@ def ellipsoids(
     density : float, optional
         Ellipsoids per nm³; by default 0.9/(kappa sigma³).
     cutoff, switch : float, optional
-        Distances between centres at which the energy of a pair ends and its switch begins, in nm; by default the
+        Cutoff of the energy of a pair and start of its switch, as distances between centres in nm; by default the
         longest diameter plus sigma, and 0.9 of the cutoff.
 
     Returns
@@ -72,7 +72,7 @@ def ellipsoids(
     system : openmm.System
         Constraints hold the sites together. There are four sites with mass, since three would form a flat body.
     positions : Quantity
-        (n_particles, 3) in nm.
+        Positions (n_particles, 3) in nm.
 
     Raises
     ------

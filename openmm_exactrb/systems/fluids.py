@@ -119,14 +119,14 @@ def dipole_fluid(
     sigma, epsilon : float
         Size (nm) and strength (kJ/mol) of the soft sphere.
     attraction : float
-        0 for soft spheres, 1 for the attraction of the Lennard-Jones potential: the Stockmayer fluid.
+        Factor of the Lennard-Jones attraction: 0 for soft spheres, 1 for the Stockmayer fluid.
     wca : bool
-        Whether the Lennard-Jones potential of spheres with an attraction ends at its minimum, so that they only repel
-        each other. No scheme keeps an order above 2 in this case.
+        Whether the Lennard-Jones potential of spheres with an attraction is truncated at its minimum, so that they only
+        repel each other. No scheme keeps an order above 2 in this case.
     spacing : float
         Lattice constant in nm.
     perturbation : float
-        Standard deviation of the positions about the lattice, relative to its constant.
+        Standard deviation of the positions about the lattice, relative to the lattice constant.
     trap : float
         Strength k in kJ/mol/nm² of a harmonic trap k r²/2 about the origin, which acts on the centres. Without a trap,
         a droplet of soft dipoles dissolves into chains, which drift apart.
@@ -136,14 +136,15 @@ def dipole_fluid(
     density : float, optional
         Spheres per nm³ in the box; by default 0.8/sigma³, a liquid.
     sphere_cutoff, sphere_switch : float, optional
-        Distances at which the energy of two spheres in the box ends and its switch begins, in nm. The default cutoff is
-        3 sigma, or half the box if that is less; the switch begins at three quarters of the cutoff. Both are
-        independent of the cutoff of the dipoles, which belongs to the boundary.
+        Cutoff of the energy of two spheres in the box and start of its switch, in nm. The default cutoff is 3 sigma, or
+        half the edge of the box if that is less; the switch begins at three quarters of the cutoff. Both are
+        independent of the cutoff of the dipoles, which the boundary defines.
     shifted : bool
         Whether to subtract the energy of two spheres at the cutoff from their energy.
     long_range_correction : bool, optional
         Whether a second force adds the mean contribution of spheres beyond the cutoff to energy and pressure. By
-        default this force is added in a periodic box, unless the potential is shifted or ends at its minimum (`wca`).
+        default this force is added in a periodic box, unless the potential is shifted or truncated at its minimum
+        (`wca`).
     kernel : {"auto", "openmm", "bonds", "compiled"}
         Type of the force; see `soft_dipole_force`. With `Ewald`, "openmm" uses the two forces of
         `openmm_exactrb.potentials.dipole_rod_forces`, which stay on a device and reach a tolerance of 1e-4.
@@ -156,7 +157,7 @@ def dipole_fluid(
     system : openmm.System
         Constraints hold the sites together, and the potential acts on the virtual sites.
     positions : Quantity
-        (n_particles, 3) in nm.
+        Positions (n_particles, 3) in nm.
 
     Raises
     ------
@@ -329,7 +330,7 @@ def rigid_water(
     topology : openmm.app.Topology
     system : openmm.System
     positions : Quantity
-        (n_particles, 3) in nm. Minimise the energy before a run.
+        Positions (n_particles, 3) in nm. Minimise the energy before a run.
 
     Raises
     ------

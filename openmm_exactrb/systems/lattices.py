@@ -24,9 +24,9 @@ def filling(n: int) -> tuple[Array, float]:
     """Return n sites (n, 3) that fill a periodic cube without vacancies at density 1, and the edge of the cube.
 
     The sites form a cubic lattice if n is a cube. Otherwise they are the multiples of a vector (1, a, b)/n, in units of
-    the edge. The first vector is used whose shortest distance is at least that of a cubic lattice, or else the vector
-    with the largest shortest distance. For n of 100 or more, only b = a² is tried (N. M. Korobov; I. H. Sloan and S.
-    Joe, Lattice Methods for Multiple Integration, 1994).
+    the edge. The vector is the first one whose multiples are at least as far apart as in a cubic lattice, or otherwise
+    the one with the largest shortest distance. For n of 100 or more, only b = a² is tried (Korobov; Sloan and Joe,
+    Lattice Methods for Multiple Integration, 1994).
     """
     k = places_a_side(n)
     if k**3 == n:

@@ -69,10 +69,10 @@ def tune(
     than half the error due to the forces, the search is skipped. Survey runs have the length `duration`, and their
     errors are extrapolated to the horizon using the growth of the variance. The recommended setting is then run over
     the whole horizon from three starts: the given start, and two others at its temperature. The promised error is the
-    largest of the three, increased if the error depends so steeply on the step that another start may have a larger
-    error. Costs are measured as in `Simulation.step`, which calls the integrator once per ten steps. If the System has
-    bonds and angles that are not constrained, schemes with ``fast="bonded"`` are tried too: those of `schemes`, or
-    `NESTED_CANDIDATES`.
+    largest of the three errors, increased if the error depends so steeply on the step that another start may have a
+    larger error. Costs are measured as in `Simulation.step`, which calls the integrator once per ten steps. If the
+    System has bonds and angles that are not constrained, schemes with ``fast="bonded"`` are tried too: those of
+    `schemes`, or `NESTED_CANDIDATES`.
 
     Parameters
     ----------
@@ -90,12 +90,12 @@ def tune(
         catalogue. OpenMM's VerletIntegrator is measured too if constraints hold all bodies; if it fails, the result
         states the failure.
     velocities : (n, 3) array or Quantity, optional
-        Velocities that belong to positions, in nm/ps if they have no unit.
+        Velocities for a start given by positions, in nm/ps if they have no unit.
     temperature : float or Quantity, optional
         Temperature in K, required if all velocities are zero. Positions without velocities are minimised; Langevin
         dynamics of this package then brings the start to the temperature.
     platform : str or openmm.Platform, optional
-        By default the platform in OPENMM_DEFAULT_PLATFORM, otherwise the fastest one except for OpenCL on a CPU.
+        By default the platform named by OPENMM_DEFAULT_PLATFORM, otherwise the fastest one except for OpenCL on a CPU.
     properties : mapping, optional
         Properties of the platform; by default mixed precision if there is a choice.
     bodies : sequence of sequences of int, optional
@@ -115,7 +115,8 @@ def tune(
     seed : int, optional
         Seed of the momenta.
     report : callable, optional
-        Function that is called with a line of text per run; by default it writes to stderr. None for no output.
+        Function that is called with a line of text per run. The default writes to stderr, and None suppresses the
+        output.
 
     Returns
     -------

@@ -229,8 +229,8 @@ class Benchmark:
     def run(self, method: Method, step: float, duration: float, start: InitialState) -> Energies | None:
         """Run a method for a duration, both in ps.
 
-        Return None if the run diverges, the energy changes by a tenth of the kinetic energy, or OpenMM's integrator
-        fails. BudgetSpentError is raised before or during a run that the budget does not allow.
+        Return None if the run diverges, the energy changes by a tenth of the kinetic energy or more, or OpenMM's
+        integrator fails. BudgetSpentError is raised before or during a run that the budget does not allow.
         """
         self.budget.require(self.processor * method.stages * duration / step)
         tested, begun = self.under_test(method), time.process_time()

@@ -9,7 +9,7 @@ _KEPT = 0.03
 
 
 class BudgetSpentError(RuntimeError):
-    """The budget does not allow the next run."""
+    """Raised if the budget does not allow the next run."""
 
 
 class Budget:

@@ -35,7 +35,7 @@ _APART = 4
 
 @dataclass(frozen=True)
 class InitialState:
-    """A System, a state of it, and the platform that computes its forces."""
+    """A System, its state, and the platform that computes its forces."""
 
     system: openmm.System
     #: Positions, velocities, box and parameters.

@@ -38,7 +38,7 @@ class Point:
 
 
 def stable_curve(points: Sequence[Point], method: str) -> list[Point]:
-    """Return the points of a method with steps below its smallest unstable one, cheapest first.
+    """Return the points of a method with steps below its smallest unstable step, cheapest first.
 
     A point is omitted if a longer run with the same or a smaller step has a larger error.
     """
@@ -63,7 +63,7 @@ def cost_at(curve: Sequence[Point], error: float) -> float | None:
 
 
 def step_at(curve: Sequence[Point], cost: float) -> float:
-    """Return the step with a given cost, if a force evaluation takes as long as at the nearest point."""
+    """Return the step with a given cost, assuming that a force evaluation takes as long as at the nearest point."""
     nearest = min(curve, key=lambda p: abs(math.log(p.cost / cost)))
     return nearest.step * (nearest.cost / cost)
 
@@ -102,8 +102,8 @@ class Measurements:
     def promised(self, name: str, step: float, target: float) -> Point:
         """Return the point of production runs, with their largest error and a margin where the curve is steep.
 
-        The runs end with the first one that misses the target. If the budget ends them earlier, a margin replaces the
-        missing errors.
+        The runs end with the first one that misses the target. If the budget ends the runs earlier, the error is
+        increased by a margin for the missing runs.
         """
         steeper = max(self.slope(name, step) - self.methods[name].order, 0.0)
         errors, margin = [0.0], _LONGER**steeper

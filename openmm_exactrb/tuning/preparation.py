@@ -81,7 +81,7 @@ def _free_time(bodies: RigidBodies, kT: float) -> float:
 
 @contextlib.contextmanager
 def diverging() -> Iterator[None]:
-    """Turn OpenMM's exception for NaN coordinates into NonFiniteError; other exceptions pass."""
+    """Turn OpenMM's exception for NaN coordinates into NonFiniteError; other exceptions are passed on."""
     try:
         yield
     except openmm.OpenMMException as error:
@@ -108,10 +108,10 @@ def heat(
     length: float | None = None,
     may_continue: Callable[[], bool] = lambda: True,
 ) -> Iterator[float]:
-    """Perform Langevin dynamics for a time in ps, by default in `PARTS` parts; yield the kinetic energy after each.
+    """Perform Langevin dynamics for a time in ps, by default in `PARTS` parts; yield the kinetic energy after a part.
 
-    The step is chosen from the forces, which allows starts far from equilibrium. It is halved if the dynamics diverges,
-    because bodies collide on which no forces acted when it was chosen.
+    The step is chosen from the forces, which allows starts far from equilibrium. It is halved if the dynamics diverges
+    because bodies collide that did not interact when it was chosen.
     """
     left, least = (math.inf, 0.0) if length is None else (length, _RELAXED / (length or math.inf))
     part, halvings = 0, 0

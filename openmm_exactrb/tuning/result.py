@@ -120,7 +120,7 @@ class Tuning:
         return found
 
     def largest_stable_step(self, method: str) -> float:
-        """Return the largest step in ps of a scheme with an energy error below a tenth of the kinetic energy.
+        """Return the largest step (ps) at which the energy error of a scheme is below a tenth of the kinetic energy.
 
         The next longer step, at most 42 % longer, was unstable, or was not tried because free bodies turn by more than
         a radian between two force evaluations at that step.
