@@ -28,9 +28,9 @@ def make_simulation():
 
 # %%
 # A ``Run`` has a folder, reporters and an interval between checkpoints. ``advance`` performs the steps up to a given
-# one, from the start or, with ``resume=True``, from the last checkpoint. On a command line
+# step number, from the start or, with ``resume=True``, from the last checkpoint. For a command line,
 # :meth:`Run.add_options <openmm_exactrb.Run.add_options>` and
-# :meth:`Run.from_options <openmm_exactrb.Run.from_options>` do the same.
+# :meth:`Run.from_options <openmm_exactrb.Run.from_options>` provide the same settings as options.
 
 
 def go(folder, until, resume=False):
@@ -42,8 +42,8 @@ def go(folder, until, resume=False):
 
 
 # %%
-# One run goes to the end. The other stops half way and is resumed by a new Simulation, as it would be in a new
-# process.
+# One run is not interrupted. The other run stops before its end and is resumed with a new Simulation, as it would be in
+# a new process.
 
 with tempfile.TemporaryDirectory() as folder:
     undisturbed = go(folder, 300)
@@ -53,10 +53,10 @@ with tempfile.TemporaryDirectory() as folder:
 print("the same bytes:", resumed == undisturbed)
 
 # %%
-# On the Reference platform, as here, the files are identical byte for byte. On other platforms the run continues
-# from the same state, and differs as much as two runs whose forces are summed in another order. For a checkpoint that
-# is damaged or belongs to another run, an error of one line is raised, and nothing is changed.
-# ``tests/runs/test_accidents.py`` kills real runs at random moments.
+# On the Reference platform, as here, the files of both runs are identical byte for byte. On other platforms, the
+# resumed run continues from the same state, but then differs as much as two runs whose forces are summed in different
+# orders. If a checkpoint is damaged or belongs to another run, an error with a message of one line is raised, and no
+# file is changed. ``tests/runs/test_accidents.py`` kills real runs at random moments.
 
 
 def potential(table):

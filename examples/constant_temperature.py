@@ -34,8 +34,8 @@ translational, rotational = np.mean(temperatures[100:], axis=0)
 print(f"second half: translation {translational:.0f} K, rotation {rotational:.0f} K")
 
 # %%
-# Both rise to 300 K together, since the thermostat acts on both. The temperature of so few molecules fluctuates by a
-# tenth.
+# Both temperatures rise to 300 K together, because the thermostat acts on translation and on rotation. The temperature
+# of so few molecules fluctuates by a tenth.
 
 out = Path("out/constant_temperature")
 out.mkdir(parents=True, exist_ok=True)
@@ -50,8 +50,8 @@ figure.legend(loc="outside right center")
 figure.savefig(out / "temperatures.png", dpi=150)
 
 # %%
-# The same water with a Metropolis test: the sampled distribution is exact at any step size, but larger steps are
-# rejected more often.
+# Hybrid Monte Carlo simulates the same water with a Metropolis test: the sampled distribution is exact at any step
+# size, but proposals with larger steps are rejected more often.
 
 for fs in (4, 8, 12):
     hybrid = rb.ExactRigidBodyHybridIntegrator(300 * kelvin, 5 / picosecond, fs * femtoseconds)

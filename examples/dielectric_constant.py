@@ -8,14 +8,14 @@ follows from the fluctuations of the total dipole moment. The picture shows its 
 from block averages, and the value that LAMMPS gives for the same state. ``--long-range "reaction field"`` truncates the
 dipole interactions instead, which is sufficient for weak dipoles (``--dipole2 1``).
 
-With ``--core wca --density 0.05 --temperature 1``, the spheres only repel each other: a ferrofluid in a state known
-from the literature. Its short chains rotate slowly, so use ``--duration 10000 --step 0.03``.
+With ``--core wca --density 0.05 --temperature 1``, the spheres only repel each other; this is a ferrofluid in a state
+for which values have been published. Its short chains rotate slowly, so use ``--duration 10000 --step 0.03``.
 
 Units are reduced: sigma, epsilon and the mass of a sphere are 1 nm, 1 kJ/mol and 1 amu, and times are in ps. After
-Ctrl-C, a kill or a full disk the same command with ``--resume`` continues.
+Ctrl-C, a kill or a full disk, the same command with ``--resume`` continues the run.
 
-The picture is from ``python examples/dielectric_constant.py``, dipoles of mu² = 3 over 2000 ps. The dielectric constant
-is 63.4 ± 2.3, compared with 64.6 ± 1.8 from LAMMPS. The mean of six longer runs is 66.4 ± 0.7
+The picture is from ``python examples/dielectric_constant.py``, which simulates dipoles of mu² = 3 for 2000 ps. The
+dielectric constant is 63.4 ± 2.3, compared with 64.6 ± 1.8 from LAMMPS. The mean of six longer runs is 66.4 ± 0.7
 (:doc:`/tutorials/dielectric`).
 
 .. image:: /dielectric_constant.png
@@ -43,12 +43,12 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 
 KB = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
-# The dielectric constant of the Stockmayer fluid and its standard error, at density, kT and mu²: by an Ewald sum of 125
-# dipoles in LAMMPS, 400000 and 150000 steps (benchmarks/dipoles/dielectric_lammps.py).
+# The dielectric constant of the Stockmayer fluid and its standard error, for (density, kT, mu²), from LAMMPS with an
+# Ewald sum of 125 dipoles in 400000 and 150000 steps (benchmarks/dipoles/dielectric_lammps.py).
 LAMMPS = "LAMMPS, Ewald sum of 125 dipoles"
 EWALD = {(0.822, 1.15, 3.0): [(LAMMPS, 64.6, 1.8)], (0.822, 1.15, 1.0): [(LAMMPS, 7.51, 0.16)]}
-# That of WCA spheres, at a volume fraction of 0.0262 and lambda = 3: Z. Wang, C. Holm and H. W. Müller, Phys. Rev. E
-# 66, 021405 (2002), table 1, as ESPResSo's tutorial on ferrofluids quotes it.
+# The same for WCA spheres, at a volume fraction of 0.0262 and lambda = 3: Z. Wang, C. Holm and H. W. Müller, Phys. Rev.
+# E 66, 021405 (2002), table 1, as quoted in ESPResSo's tutorial on ferrofluids.
 FERROFLUID = {
     (0.05, 1.0, 3.0): [
         ("Wang, Holm and Müller (2002)", 1.822, 0.017),
@@ -103,7 +103,7 @@ def positive(text: str) -> float:
 
 
 def simulate(args: argparse.Namespace) -> tuple[np.ndarray, float]:
-    """Return times and moments (n, 4) after the equilibration, and the volume."""
+    """Return times (ps) and moments after the equilibration, as an array (n, 4), and the volume (nm³)."""
     strength = args.dipole2**0.5
     topology, system, positions = rb.dipole_fluid(
         args.n,
@@ -114,7 +114,7 @@ def simulate(args: argparse.Namespace) -> tuple[np.ndarray, float]:
         wca=args.core == "wca",
         boundary=BOUNDARIES[args.long_range],
         density=args.density,
-        # A GPU computes its own forces, if it can.
+        # On a GPU, OpenMM computes the forces if possible.
         kernel="auto" if args.long_range == "ewald" or args.platform in ("Reference", "CPU") else "bonds",
     )
     job = rb.Run.from_options(args, free=("duration",))
@@ -144,7 +144,7 @@ def charges(topology: app.Topology, strength: float, length: float = 0.5) -> np.
 
 
 def running(times: np.ndarray, moments: np.ndarray, volume: float, kT: float) -> tuple[np.ndarray, ...]:
-    """Return times, estimates up to them and their errors."""
+    """Return times (ps), the estimate from the run up to each time, and its standard error."""
     ends = np.linspace(len(times) / 50, len(times), 50).astype(int)
     estimates = [rb.dielectric_constant(moments[:end], volume, kT, blocks=min(20, end)) for end in ends if end > 1]
     return times[ends[ends > 1] - 1], *np.array(estimates).T

@@ -2,10 +2,10 @@
 A droplet of dipoles
 ====================
 
-The method was first published for this system: soft spheres with point dipoles, which repel each other as
-:math:`1/r^{12}`. OpenMM computes the forces, and the rotation is exact. The script writes a trajectory (DCD, with its
-topology as PDB), the energies (CSV, every digit of float64) and a picture of the energy error, and prints the cost of
-the run.
+The method was first published for this system of soft spheres with point dipoles, which repel each other as
+:math:`1/r^{12}`. OpenMM computes the forces, and the free rotation is exact. The script writes a trajectory (DCD, with
+its topology as PDB), the energies (CSV, every digit of float64) and a picture of the energy error, and prints the cost
+of the run.
 
 With ``--compare`` the script makes two runs from the same start with the same number of force evaluations: one with the
 exact rotation and a scheme of order 4, the other with the usual combination of velocity Verlet and the McLachlan-Reich
@@ -32,13 +32,14 @@ import openmm_exactrb as rb
 mpl.use("Agg")
 import matplotlib.pyplot as plt
 
-# Strong enough that the droplet stays one, weak beside the forces between neighbours.
+# Strong enough to hold the droplet together, weak compared with the forces between neighbours.
 TRAP = 0.5
 KB = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
 
 
 # %%
-# Before it runs, ``main`` checks that no file of an earlier run would be replaced. Errors are printed in one line.
+# Before the simulation, ``main`` checks that no file of an earlier run would be replaced. Errors are printed in one
+# line.
 
 
 @dataclass
@@ -68,7 +69,7 @@ def main() -> None:
             print("The paper's lattice is compressed, about 4 epsilon a contact: it flies apart.")
         picture = rb.Run.from_options(args).path("energy_error.png")
         if args.compare:
-            rb.Run.from_options(args, "compare")  # refuses before there is anything to lose
+            rb.Run.from_options(args, "compare")  # raises an error before any simulation is run
         runs = [simulate(args, args.scheme, args.rotor, args.step)]
         if args.compare:
             # The same start and the same number of force evaluations.
@@ -145,8 +146,8 @@ finite = number(float, "finite number", lambda value: True)
 
 
 # %%
-# The simulation is an ordinary one of OpenMM. :class:`openmm_exactrb.Run` has the reporters, writes checkpoints, and
-# resumes from the last one after an interruption.
+# This is an ordinary OpenMM simulation. :class:`openmm_exactrb.Run` attaches the reporters, writes checkpoints, and
+# resumes from the last checkpoint after an interruption.
 
 
 def simulate(args: argparse.Namespace, scheme: str, rotor: str, h: float, subfolder: str = "") -> Outcome:
@@ -182,7 +183,7 @@ def platform(name: str) -> openmm.Platform:
 
 
 def set_momenta(context: openmm.Context, args: argparse.Namespace, integrator: rb.ExactRigidBodyIntegrator) -> None:
-    """Give the spheres the momenta of a temperature, or of a total energy."""
+    """Draw the momenta of the spheres at a temperature, or set them so that the total energy has a given value."""
     potential = context.getState(energy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
     if args.energy is not None and not args.energy > potential:
         raise ValueError(
@@ -191,7 +192,7 @@ def set_momenta(context: openmm.Context, args: argparse.Namespace, integrator: r
     if args.paper:
         velocities = np.zeros((context.getSystem().getNumParticles(), 3))
         if args.energy is not None:
-            # Opposite momenta along the diagonal: m v² = E - V for the two of them.
+            # The two spheres have opposite momenta along the diagonal: m v² = E - V.
             sites = len(velocities) // args.n
             speed = np.sqrt(args.energy - potential)
             velocities[:sites] = -speed / np.sqrt(3.0)
@@ -242,11 +243,12 @@ def draw(runs: list[Outcome], file: Path) -> None:
 
 
 # %%
-# The step in the first line is six times as long as that in the second, because its scheme has six stages. The last
-# columns show where the time was spent: even in such a small droplet the free rotation costs little.
+# The step in the first line of the printed table is six times as long as the step in the second line, because the first
+# scheme has six stages. The last columns show how the time is distributed: even in such a small droplet, the free
+# rotation costs little.
 #
 # ``--paper`` starts from the lattice of the paper, which is compressed, so that the spheres fly apart. With
-# ``boundary=rb.ReactionField()`` :func:`openmm_exactrb.dipole_fluid` makes a liquid in a box.
+# ``boundary=rb.ReactionField()`` :func:`openmm_exactrb.dipole_fluid` creates a liquid in a periodic box.
 
 if __name__ == "__main__":
     main()

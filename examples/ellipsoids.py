@@ -2,18 +2,18 @@
 A nematic liquid crystal by compression
 =======================================
 
-These ellipsoids are three times as long as thick and interact by the Gay-Berne potential GB(3, 5, 2, 1), at kT = 1. A
-barostat compresses them in stages. At the first pressure, the initial lattice of parallel ellipsoids melts into an
-isotropic liquid. At the last pressure the liquid is nematic: the axes are aligned, but the centres are not ordered. E.
-de Miguel et al., Mol. Phys. 74, 405 (1991), doi:10.1080/00268979100102321, found isotropic, nematic and smectic B
-phases of this model, and the nematic phase only above kT = 0.8.
+These ellipsoids are three times as long as they are thick, and interact by the Gay-Berne potential GB(3, 5, 2, 1), at
+kT = 1. A barostat compresses them in stages. At the first pressure, the initial lattice of parallel ellipsoids melts
+into an isotropic liquid. At the last pressure the liquid is nematic: the axes are aligned, but the centres are not
+ordered. E. de Miguel et al., Mol. Phys. 74, 405 (1991), doi:10.1080/00268979100102321, found isotropic, nematic and
+smectic B phases of this model, and the nematic phase only above kT = 0.8.
 
-The order parameter S is the largest eigenvalue of Q, the mean of (3 u u - 1)/2 over the axes u: 1 if all axes are
-parallel. If there were layers, the largest density wave of the box with a wavelength from 1.5 to 5 would have an
-amplitude near 1. For comparison, the script prints both numbers for random axes and centres of n ellipsoids.
+The order parameter S is the largest eigenvalue of Q, the mean of (3 u u - 1)/2 over the axes u; it is 1 if all axes are
+parallel. If the centres formed layers, the largest density wave of the box with a wavelength from 1.5 to 5 would have
+an amplitude near 1. For comparison, the script prints both numbers for random axes and centres of n ellipsoids.
 
 Units are reduced: diameter, epsilon and mass of an ellipsoid are 1 nm, 1 kJ/mol and 1 amu, and times are in ps. After
-Ctrl-C, a kill or a full disk the same command with ``--resume`` continues.
+Ctrl-C, a kill or a full disk, the same command with ``--resume`` continues the run.
 
 The picture is from ``python examples/ellipsoids.py --pressures 2 3 4 5 --duration 400``: the order parameter is 0.09 at
 the first pressure and 0.78 at the last.
@@ -87,7 +87,7 @@ def parse() -> argparse.Namespace:
 
 
 def simulate(args: argparse.Namespace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return axes and centres (frames, n, 3), and edges of the box (frames,)."""
+    """Return the axes and the centres, each (frames, n, 3), and the edges of the box (frames,)."""
     topology, system, positions = rb.ellipsoids(args.n, args.seed)
     system.addForce(openmm.MonteCarloBarostat(args.pressures[0] * BAR, KT / KB, 20))
     job = rb.Run.from_options(args)
@@ -112,7 +112,7 @@ def simulate(args: argparse.Namespace) -> tuple[np.ndarray, np.ndarray, np.ndarr
 
 
 def order(u: np.ndarray) -> float:
-    """Return the largest eigenvalue of Q of axes (n, 3)."""
+    """Return the order parameter of axes (n, 3), the largest eigenvalue of Q."""
     return float(np.linalg.eigvalsh(1.5 * u.T @ u / len(u) - 0.5 * np.eye(3))[-1])
 
 
@@ -126,7 +126,7 @@ def largest_wave(centres: np.ndarray, edge: float) -> float:
 
 
 def summarised(quantities: list[np.ndarray], args: argparse.Namespace) -> list[tuple]:
-    """Return pressure and quantities (frames,) of each stage, with errors, from its second half in blocks."""
+    """Return the pressure of each stage, and means and errors of quantities (frames,) in blocks of its second half."""
     frames = round(args.duration / STEP / FRAME)
     stages = []
     for k, pressure in enumerate(args.pressures):

@@ -5,11 +5,11 @@ Equipartition
 Do translation and rotation of rigid water have the same temperature at long steps? ``LangevinMiddleIntegrator`` reports
 velocities with components along the constraints. Reporters count these components as rotation, which therefore appears
 too hot. To measure this excess, the example removes the components from the velocities of each frame and compares the
-temperatures. Since both temperatures fluctuate together, 6 ps of 64 molecules are sufficient.
+temperatures. Because both temperatures fluctuate together, a run of 64 molecules over 6 ps is sufficient.
 
-Runs of 1 ns show the remaining error, which is that of the splitting. With a force evaluation every 6 fs, rotation and
-translation of SPC/E differ by 3.1 ± 0.3 K after this projection, and by 0.0 ± 0.3 K with the scheme ``W2_3m`` of
-``ExactRigidBodyLangevinIntegrator``. :doc:`/explanation/temperature` has these measurements.
+Runs of 1 ns show the remaining error, which is the error of the splitting. With a force evaluation every 6 fs, rotation
+and translation of SPC/E differ by 3.1 ± 0.3 K after this projection, and by 0.0 ± 0.3 K with the scheme ``W2_3m`` of
+``ExactRigidBodyLangevinIntegrator``. :doc:`/explanation/temperature` describes these measurements.
 """
 
 from pathlib import Path
@@ -34,22 +34,22 @@ integrator.step(500)
 start = context.getState(positions=True, velocities=True)
 
 # %%
-# The kinetic energy of the atoms is that of the centres of mass (translation) plus a remainder, which is rotation if
-# the molecules are rigid. Three degrees of freedom per molecule belong to rotation.
+# The kinetic energy of the atoms is the kinetic energy of the centres of mass (translation) plus a remainder, which is
+# due to rotation if the molecules are rigid. Three degrees of freedom per molecule belong to rotation.
 
 R = 0.00831446  # kJ/mol/K
 MASSES = np.array([system.getParticleMass(i)._value for i in range(3)])
 
 
 def rotational_temperature(context):
-    """Return the temperature of rotation in K, from the velocities that a Context reports."""
+    """Return the temperature of rotation (K), computed from the velocities in a Context."""
     v = context.getState(velocities=True).getVelocities(asNumpy=True)._value.reshape(-1, 3, 3)
     centres = np.einsum("a,nai->ni", MASSES, v) / MASSES.sum()
     return np.einsum("a,nai->", MASSES, (v - centres[:, None]) ** 2) / (3 * len(v) * R)
 
 
 def excess(integrator, picoseconds=6.0):
-    """Return the excess temperature of rotation and its error, from ten blocks of a run."""
+    """Return the excess temperature of rotation (K) in a run, and its standard error from ten blocks."""
     context, projected = (
         openmm.Context(system, some, openmm.Platform.getPlatform("CPU"))
         for some in (integrator, openmm.VerletIntegrator(0.001))

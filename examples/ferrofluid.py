@@ -6,9 +6,9 @@ The system consists of magnetic particles at a volume fraction of 2.6 %: repulsi
 periodic images are included by an Ewald sum. With lambda = mu²/kT = 8, two particles in contact, head to tail, are
 bound by 15.7 kT. Initially separate particles form chains and rings.
 
-The picture shows the box at the end, with a colour for each of the largest clusters, and the growth of the mean cluster
-size. Units are reduced: diameter, epsilon and mass of a particle are 1 nm, 1 kJ/mol and 1 amu, and times are in ps.
-After Ctrl-C, a kill or a full disk the same command with ``--resume`` continues.
+The picture shows the box at the end, with a colour for each of the eight largest clusters, and the growth of the mean
+cluster size. Units are reduced: diameter, epsilon and mass of a particle are 1 nm, 1 kJ/mol and 1 amu, and times are in
+ps. After Ctrl-C, a kill or a full disk, the same command with ``--resume`` continues the run.
 
 The picture is from ``python examples/ferrofluid.py -n 500 --duration 30``.
 
@@ -41,7 +41,7 @@ import matplotlib.pyplot as plt
 KB = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
 DENSITY, KT = 0.05, 1.0
 STEP = 0.01  # ps
-BOUND = 8.0  # kT by which the dipoles of neighbours in a chain attract each other at least
+BOUND = 8.0  # kT, the least dipolar attraction between neighbours in a chain
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C510A", "#35978F")
 
 
@@ -70,7 +70,7 @@ def parse() -> argparse.Namespace:
 
 
 def simulate(args: argparse.Namespace) -> tuple[np.ndarray, float]:
-    """Return positions of centres and tips (frames, n, 2, 3) and the edge of the box."""
+    """Return the positions of centres and tips (frames, n, 2, 3), and the edge of the box, in nm."""
     topology, system, positions = rb.dipole_fluid(
         args.n,
         args.seed,
@@ -97,7 +97,7 @@ def simulate(args: argparse.Namespace) -> tuple[np.ndarray, float]:
 
 
 def clusters(sites: np.ndarray, edge: float, coupling: float) -> tuple[int, np.ndarray, np.ndarray]:
-    """Return the number of clusters, the cluster of each particle, and the bound pairs."""
+    """Return the number of clusters, the index of the cluster of each particle (n,), and the bound pairs (m, 2)."""
     u = nearest(sites[:, 1] - sites[:, 0], edge)
     u /= np.linalg.norm(u, axis=1, keepdims=True)
     r = nearest(sites[:, None, 0] - sites[None, :, 0], edge)
@@ -110,7 +110,7 @@ def clusters(sites: np.ndarray, edge: float, coupling: float) -> tuple[int, np.n
 
 
 def nearest(vectors: np.ndarray, edge: float) -> np.ndarray:
-    """Return vectors to the nearest images."""
+    """Return the vectors to the nearest periodic images."""
     return vectors - edge * np.round(vectors / edge)
 
 

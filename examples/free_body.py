@@ -2,8 +2,8 @@
 Free bodies, without OpenMM
 ===========================
 
-:func:`openmm_exactrb.free_rotor` is the exact flow alone: any number of bodies, any moments of inertia in any order,
-any momenta, and any time in a single call.
+:func:`openmm_exactrb.free_rotor` computes the exact flow of free rigid bodies: any number of bodies, with any moments
+of inertia in any order and any momenta, over any time, in a single call.
 """
 
 import matplotlib.pyplot as plt
@@ -20,15 +20,15 @@ print("momentum", m.round(6))
 
 # %%
 # ``q`` is the orientation as a unit quaternion, scalar first, which maps body coordinates to space coordinates; ``m``
-# is the angular momentum in the frame of the body. In the space frame the angular momentum is constant, as is the
-# kinetic energy.
+# is the angular momentum in the frame of the body. The angular momentum in the space frame and the kinetic energy are
+# constant.
 
 print(f"the momentum in space moved by {np.abs(rotation_matrix(q) @ m - m0).max():.1e}")
 print(f"the kinetic energy changed by {abs((m * m / inertia).sum() / (m0 * m0 / inertia).sum() - 1.0):.1e} of it")
 
 # %%
-# A flow has no step-size error. A thousand steps of 5 end in the same state as one step of 5000, up to the roundoff
-# of a thousand steps, and a step back undoes a step.
+# The exact flow has no step-size error. A thousand steps of 5 lead to the same state as one step of 5000, up to the
+# roundoff of a thousand steps, and a backward step reverses a forward step.
 
 many = q0, m0
 for _ in range(1000):
@@ -39,8 +39,8 @@ print(f"a thousand steps and one differ by {np.abs(many[1] - once[1]).max():.1e}
 print(f"a step forth and back by {np.abs(back[1] - m0).max():.1e}")
 
 # %%
-# Arrays with many rows describe many bodies, each with its own moments, momentum and time. Here the rows are one
-# body at many times. It starts rotating about its middle axis, and flips repeatedly.
+# Arrays with many rows describe many bodies, each with its own moments, momentum and time. Here, the rows describe one
+# body at many times. The body initially rotates about its middle axis, and flips repeatedly.
 
 t = np.linspace(0.0, 60.0, 601)
 _, path = rb.free_rotor(inertia, q0, np.tile([1e-3, 1.0, 1e-3], (len(t), 1)), t)
@@ -55,20 +55,20 @@ axes.legend(loc="upper right")
 plt.show()
 
 # %%
-# Torques enter by a splitting, which alternates free flows and kicks. The heavy top has the potential ``epsilon``
-# times the height of its axis, and the torque ``epsilon (u2, -u1, 0)``, where ``u`` is the vertical in the frame of the
-# body. These are a thousand steps of a scheme of order 4:
+# Torques are included by a splitting, which alternates free flows and kicks. The potential of the heavy top is
+# ``epsilon`` times the height of its axis, and the torque is ``epsilon (u2, -u1, 0)``, where ``u`` is the vertical in
+# the frame of the body. The following code performs a thousand steps of a scheme of order 4:
 
 epsilon, h, scheme = 0.1, 0.1, rb.SCHEMES["SRKN4_6b"]
 
 
 def vertical(q):
-    """Return the vertical, seen from the body."""
+    """Return the vertical in the frame of the body."""
     return rotation_matrix(q)[2]
 
 
 def energy(q, m):
-    """Return the kinetic and potential energy of the top."""
+    """Return the total energy of the top."""
     return 0.5 * (m * m / inertia).sum() + epsilon * vertical(q)[2]
 
 

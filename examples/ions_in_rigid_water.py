@@ -2,9 +2,9 @@
 Ions in rigid water
 ===================
 
-Particles without constraints move together with the rigid bodies, by the same splitting: this script adds sodium and
-chloride to a box of water and changes nothing else. It writes a trajectory and its energies, and draws the temperatures
-of translation and rotation. After an interruption the same command with ``--resume`` continues.
+Particles without constraints are integrated together with the rigid bodies, by the same splitting: this script adds
+sodium and chloride to a box of water and changes nothing else. It writes a trajectory and its energies, and draws the
+temperatures of translation and rotation. After an interruption, the same command with ``--resume`` continues the run.
 
 This page shows ``python examples/ions_in_rigid_water.py --steps 100``.
 """
@@ -41,8 +41,8 @@ def main() -> None:
 
 
 # %%
-# Force field and System are those of an ordinary script. The constraints define the bodies; particles without
-# constraints are ions.
+# The force field and the System are created as in an ordinary OpenMM script. The constraints define the bodies;
+# particles without constraints are ions.
 
 
 def run(args: argparse.Namespace) -> None:
@@ -83,7 +83,7 @@ def run(args: argparse.Namespace) -> None:
 
 # %%
 # After a minimisation, half of the kinetic energy becomes potential energy. The momenta are therefore drawn several
-# times, until both kinds of motion have the desired temperature.
+# times, until translation and rotation have the desired temperature.
 
 
 def equilibrate(simulation: app.Simulation, times: int = 20) -> None:
@@ -95,8 +95,8 @@ def equilibrate(simulation: app.Simulation, times: int = 20) -> None:
 
 
 # %%
-# A temperature is twice the kinetic energy over :math:`k_B` and the degrees of freedom, of which an ion has three of
-# translation and none of rotation.
+# A temperature is twice the kinetic energy divided by :math:`k_B` and by the number of degrees of freedom. An ion has
+# three translational degrees of freedom and no rotational ones.
 
 
 def draw(table: np.ndarray, file: Path) -> None:

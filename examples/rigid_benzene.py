@@ -51,7 +51,7 @@ def main() -> None:
 
 
 # %%
-# Molecules with random orientations on a lattice. ``bodies=`` has the particles of each molecule.
+# The molecules start with random orientations on a lattice. ``bodies=`` lists the particles of each molecule.
 
 
 def run(args: argparse.Namespace) -> None:
@@ -85,11 +85,11 @@ def run(args: argparse.Namespace) -> None:
 
 
 # %%
-# The published, flexible force field, and the shape and energy of a molecule.
+# The following functions define the published, flexible force field, and the shape and energy of a molecule.
 
 
 def cluster(n: int) -> tuple[app.Topology, openmm.System]:
-    """Return topology and System of n flexible molecules; bonds and angles are force group 1."""
+    """Return the Topology and the System of n flexible molecules, with bonds and angles in force group 1."""
     topology, system = app.Topology(), openmm.System()
     bonds, angles, pairs = openmm.HarmonicBondForce(), openmm.HarmonicAngleForce(), openmm.NonbondedForce()
     bonds.setForceGroup(1)
@@ -117,7 +117,7 @@ def cluster(n: int) -> tuple[app.Topology, openmm.System]:
 
 
 def measured_molecule() -> np.ndarray:
-    """Return the positions of the atoms for the measured bond lengths, which differ from those of the force field."""
+    """Return the positions (12, 3) in nm of a molecule with measured bond lengths, unlike those of the force field."""
     phi = np.pi / 3 * np.arange(6)
     ring = np.column_stack([np.cos(phi), np.sin(phi), 0.0 * phi])
     return np.vstack([0.1391 * ring, 0.2471 * ring])
@@ -128,7 +128,7 @@ def inner_energy(simulation: app.Simulation) -> float:
 
 
 def draw(molecules: np.ndarray, title: str, file: Path) -> None:
-    """Draw the rings, and bonds to hydrogen."""
+    """Draw the rings and the bonds to hydrogen."""
     figure = plt.figure(figsize=(6.4, 5.6), layout="constrained")
     axes = figure.add_subplot(projection="3d")
     for atoms in molecules:
@@ -144,8 +144,8 @@ def draw(molecules: np.ndarray, title: str, file: Path) -> None:
 
 
 # %%
-# The energy of bonds and angles is the same before and after, to the last digit printed: the molecules stayed rigid.
-# The step is 30 fs, which would be unstable with the bonds of the flexible molecule.
+# The energy of bonds and angles is the same before and after the run, to the last digit printed: the molecules stayed
+# rigid. The step is 30 fs, which would be unstable with the bonds of the flexible molecule.
 
 if __name__ == "__main__":
     main()

@@ -5,8 +5,8 @@ Rigid domains
 The system is a protein of two folded domains and disordered parts, with one bead per residue: hnRNPA1 without a
 hexapeptide (hnRNPA1*), in the CALVADOS 2 model of G. Tesei and K. Lindorff-Larsen, doi:10.12688/openreseurope.14967.2.
 The domains are rigid, with the masses of all their beads, and pairs within them are excluded. The tutorial "Rigid
-domains" has measurements. The script writes a trajectory, its energies and a picture; ``--resume`` continues after an
-interruption.
+domains" contains measurements. The script writes a trajectory, its energies and a picture; ``--resume`` continues after
+an interruption.
 
 This page shows ``python examples/rigid_domains.py --steps 200``.
 """
@@ -81,7 +81,7 @@ def main() -> None:
         sys.exit(f"rigid_domains.py: {error}")
 
 
-# ``bodies=`` has the particles of the domains. Minimisation and dynamics keep their shapes.
+# ``bodies=`` lists the particles of each domain. Minimisation and dynamics preserve the shapes of the domains.
 
 
 def run(args: argparse.Namespace) -> None:
@@ -110,8 +110,8 @@ def run(args: argparse.Namespace) -> None:
     draw(x, picture)
 
 
-# The model: springs between neighbours, the potential of Ashbaugh and Hatch to 2 nm, and that of Debye and Hückel to
-# 4 nm, both shifted to zero there.
+# The model consists of springs between neighbours, the potential of Ashbaugh and Hatch up to 2 nm, and the potential of
+# Debye and Hückel up to 4 nm; both potentials are shifted to zero at these cutoffs.
 
 
 def calvados2(sequence: str, temperature: float, ionic: float) -> openmm.System:
@@ -145,14 +145,14 @@ def calvados2(sequence: str, temperature: float, ionic: float) -> openmm.System:
             bonds.addBond(k - 1, k, BOND, STIFFNESS)
             contacts.addExclusion(k - 1, k)
             charges.addExclusion(k - 1, k)
-    for group, force in enumerate((bonds, contacts, charges)):  # each cutoff needs a group of its own on a GPU
+    for group, force in enumerate((bonds, contacts, charges)):  # on a GPU, each cutoff needs a separate group
         force.setForceGroup(group)
         system.addForce(force)
     return system
 
 
 def start() -> np.ndarray:
-    """Return positions (nm): the predicted ones of residues 11 to 179, and two coils that avoid them."""
+    """Return initial positions (nm): the predicted positions of residues 11 to 179, and two coils that avoid them."""
     known = np.loadtxt(_HERE / "data" / "hnrnpa1_domains.csv", delimiter=",")[:, 1:]
     before = coil(known, known[0], 10)[::-1]
     known = np.vstack([before, known])
@@ -160,7 +160,7 @@ def start() -> np.ndarray:
 
 
 def coil(others: np.ndarray, first: np.ndarray, n: int) -> np.ndarray:
-    """Return a helix of n positions, `BOND` apart, from a position on, oriented farthest from the others."""
+    """Return a helix of n positions that continues from `first`, spaced by `BOND` and oriented away from the others."""
     turn, rise = 0.36, 0.05  # a turn of 1 nm in radius, 0.9 nm above the one before
     radius = np.sqrt(BOND**2 - rise**2) / (2.0 * np.sin(0.5 * turn))
     angle = turn * np.arange(1, n + 1)
@@ -190,7 +190,7 @@ def topology_of(sequence: str) -> app.Topology:
 
 
 def draw(x: np.ndarray, file: Path) -> None:
-    """Draw the chain, with its domains in colours."""
+    """Draw the chain with coloured domains."""
     figure = plt.figure(figsize=(6.4, 5.6), layout="constrained")
     axes = figure.add_subplot(projection="3d")
     axes.plot(*x.T, color="0.6", lw=1.0)
@@ -205,7 +205,8 @@ def draw(x: np.ndarray, file: Path) -> None:
 
 
 # %%
-# Averages of a radius of gyration need a run a thousand times as long: the tutorial has one.
+# An average of the radius of gyration requires a run that is a thousand times as long; the tutorial describes such a
+# run.
 
 if __name__ == "__main__":
     main()

@@ -3,10 +3,10 @@ Where the potential is small
 ============================
 
 If the torques are weak, a body rotates almost freely, and the exact flow does almost all of the work. Schemes for this
-case have a very small error of first order in the potential, and require an exact free flow.
+case have a very small error to first order in the potential, and require an exact free flow.
 
 This example measures the median over 20 heavy tops of the largest relative energy error over 50 units of time, for a
-potential energy of a thousandth of the kinetic energy.
+potential energy that is 1/1000 of the kinetic energy.
 """
 
 import matplotlib.pyplot as plt
@@ -26,17 +26,17 @@ m0 = np.sqrt(2.0 * inertia * rng.dirichlet(np.ones(3), n))  # of the kinetic ene
 
 
 def seen(q):
-    """Return the vertical, seen from the bodies."""
+    """Return the vertical (n, 3) in the frames of the bodies."""
     return np.einsum("nij,ni->nj", rotation_matrix(q), vertical)
 
 
 def energy(q, m):
-    """Return the kinetic and potential energies of the tops."""
+    """Return the total energies (n,) of the tops."""
     return 0.5 * (m * m / inertia).sum(axis=1) + epsilon * seen(q)[:, 2]
 
 
 def run(q, m, scheme, h, steps):
-    """Return orientations and momenta after some steps of a scheme, between its processor and its inverse."""
+    """Return orientations and momenta after the processor, some steps of a scheme, and the postprocessor."""
     for substep, part in scheme.processor + steps * scheme.sequence + scheme.postprocessor:
         if substep.kicks:
             u = seen(q)
@@ -47,7 +47,7 @@ def run(q, m, scheme, h, steps):
 
 
 def error(scheme, per_time):
-    """Return the largest error of the energy in 20 parts of a run, with so many evaluations of the torques per time."""
+    """Return the median over tops of the largest relative energy error, for a number of torque evaluations per time."""
     h, q, m, before, largest = scheme.stages / per_time, q0, m0, energy(q0, m0), np.zeros(n)
     for _ in range(20):
         q, m = run(q, m, scheme, h, max(1, round(2.5 / h)))
@@ -56,8 +56,8 @@ def error(scheme, per_time):
 
 
 # %%
-# The first three schemes are for any potential, the others for small ones; ``V2_C17`` is Verlet between Wisdom's
-# corrector and its inverse.
+# The first three schemes are for any potential, and the other four for small potentials; ``V2_C17`` is Verlet between
+# Wisdom's corrector and its inverse.
 
 names = ("V2", "SRKN4_6b", "SRKN6_14a", "SABA_4", "ABA_8_6_4", "ABA_10_6_4", "V2_C17")
 curves = {name: [error(rb.SCHEMES[name], n) for n in evaluations] for name in names}
@@ -66,7 +66,7 @@ for name, errors in curves.items():
     print(f"{name:<28}" + "".join(f"{value:>10.1e}" for value in errors))
 
 # %%
-# The same as a picture. The colours are those of Okabe and Ito, which colour-blind readers can distinguish.
+# The picture shows the same errors, in the colours of Okabe and Ito, which colour-blind readers can distinguish.
 
 figure, axes = plt.subplots(figsize=(7.0, 4.6), layout="constrained")
 colours = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#CC79A7", "#0072B2", "#D55E00")

@@ -3,9 +3,9 @@ A peptide in rigid water
 ========================
 
 This script leads from a PDB file to a trajectory, for alanine dipeptide with constrained bonds to hydrogen in a box of
-rigid water. A step of 4 fs evaluates the nonbonded forces once; bonds, angles and torsions have inner steps. The script
-writes a trajectory and its energies, and draws the total energy. After an interruption the same command with
-``--resume`` continues.
+rigid water. A step of 4 fs evaluates the nonbonded forces once; the forces of bonds, angles and torsions are evaluated
+in inner steps. The script writes a trajectory and its energies, and draws the total energy. After an interruption, the
+same command with ``--resume`` continues the run.
 
 This page shows ``python examples/solvated_peptide.py --steps 100``.
 """
@@ -31,7 +31,7 @@ PEPTIDE = Path(sys.argv[0]).resolve().parent / "data" / "alanine_dipeptide.pdb"
 
 
 # %%
-# One line is specific to this package. With one evaluation of the nonbonded forces every 4 fs, bonded forces have inner
+# One line is specific to this package. Because the nonbonded forces are evaluated every 4 fs, bonded forces have inner
 # steps.
 
 
@@ -40,8 +40,8 @@ def nve() -> rb.ExactRigidBodyIntegrator:
 
 
 # %%
-# Force field and System are those of an ordinary script. Water is found to be rigid; constrained groups of the peptide,
-# such as CH\ :sub:`3`, move along their constraints without any tolerance.
+# The force field and the System are created as in an ordinary OpenMM script. Water molecules are rigid bodies;
+# constrained groups of the peptide, such as CH\ :sub:`3`, move along their constraints without any tolerance.
 
 
 def run(args: argparse.Namespace) -> None:

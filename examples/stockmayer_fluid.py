@@ -12,10 +12,10 @@ dielectric constant is about that of water. The picture shows its structure:
   needs the sum G over the whole box.
 
 Units are reduced: sigma, epsilon and the mass of a sphere are 1 nm, 1 kJ/mol and 1 amu, and times are in ps. After
-Ctrl-C, a kill or a full disk the same command with ``--resume`` continues.
+Ctrl-C, a kill or a full disk, the same command with ``--resume`` continues the run.
 
 The picture is from ``python examples/stockmayer_fluid.py``, whose dielectric constant is 66.8 ± 5.9. ``--draw
-docs/stockmayer_fluid.csv`` draws it from the stored record, the file ``structure.csv`` of that run.
+docs/stockmayer_fluid.csv`` draws the picture from the stored record, the file ``structure.csv`` of that run.
 
 .. image:: /stockmayer_fluid.png
    :alt: Top, g(r) and h110(r). Bottom, the sum of cosines, which still grows at half the edge of the box
@@ -95,7 +95,7 @@ def simulate(args: argparse.Namespace, job: rb.Run) -> tuple[np.ndarray, np.ndar
         boundary=rb.Ewald(tolerance=1e-3),
         sphere_cutoff=min(CUTOFF, 0.5 * edge),
     )
-    ends = {"C": -(MU2**0.5) / 0.5, "D": MU2**0.5 / 0.5}  # charges half a nm apart that make the dipole
+    ends = {"C": -(MU2**0.5) / 0.5, "D": MU2**0.5 / 0.5}  # charges of the dipole, half a nm apart
     charges = [ends.get(atom.name, 0.0) for atom in topology.atoms()]
     frame = 40 * max(1, args.n // 1000)  # steps between two frames
     job.add_reporter(partial(rb.MomentReporter, charges=charges), "moments.csv", SAMPLE)
@@ -118,7 +118,7 @@ def simulate(args: argparse.Namespace, job: rb.Run) -> tuple[np.ndarray, np.ndar
 
 
 def correlations(frames: np.ndarray, edge: float, width: float = 0.02) -> tuple[np.ndarray, ...]:
-    """Return distances, g(r), h110(r), and the sum of cosines up to each distance, with 1 for the dipole itself."""
+    """Return distances, g(r), h110(r), and sums of cosines up to each distance, including 1 for the dipole itself."""
     bounds = np.arange(0.8, 0.5 * edge, width)
     pairs, cosines = np.zeros(len(bounds) - 1), np.zeros(len(bounds) - 1)
     for sites in frames:

@@ -2,11 +2,11 @@
 A box of rigid water
 ====================
 
-This is an ordinary OpenMM script, with a force field, PME, a Simulation and a DCDReporter. Only the line of the
-integrator changes. The script simulates the same box from the same start once with OpenMM's ``VerletIntegrator`` and
-once with :class:`openmm_exactrb.ExactRigidBodyIntegrator`, both with one force evaluation every 2 fs. It writes a
-trajectory (DCD with its topology as PDB), the energies and a picture of the energy error. After an interruption the
-same command with ``--resume`` continues.
+This is an ordinary OpenMM script, with a force field, PME, a Simulation and a DCDReporter. Only the line that creates
+the integrator changes. The script simulates the same box from the same start once with OpenMM's ``VerletIntegrator``
+and once with :class:`openmm_exactrb.ExactRigidBodyIntegrator`, both with one force evaluation every 2 fs. It writes a
+trajectory (DCD with its topology as PDB), the energies and a picture of the energy error. After an interruption, the
+same command with ``--resume`` continues the run.
 
 This page shows ``python examples/water_box.py --duration 2``.
 """
@@ -55,7 +55,8 @@ def parse() -> argparse.Namespace:
 
 # %%
 # Two settings of the System matter as much as the integrator: without ``switchDistance``, the energy jumps when a
-# molecule crosses the cutoff, and with the default ``ewaldErrorTolerance``, forces are not the gradient of the energy.
+# molecule crosses the cutoff, and with the default ``ewaldErrorTolerance``, forces are not exactly the negative
+# gradient of the energy.
 
 
 def run(args: argparse.Namespace) -> None:
@@ -75,7 +76,7 @@ def run(args: argparse.Namespace) -> None:
     platform = openmm.Platform.getPlatform(args.platform)
     start = start_of(exact_job, args.resume, pdb, system, platform)
 
-    # The line that changes. Both evaluate forces at the same intervals, so the cost of both runs is the same.
+    # Only this line changes. Both integrators evaluate forces at the same intervals, so both runs cost the same.
     verlet = openmm.VerletIntegrator(args.force_interval * femtoseconds)
     exact = rb.ExactRigidBodyIntegrator(forceInterval=args.force_interval * femtoseconds, scheme=args.scheme)
 
@@ -101,23 +102,23 @@ def run(args: argparse.Namespace) -> None:
 
 
 # %%
-# The box is read from a file or built; a Langevin run brings it to 300 K.
+# The box is read from a file or built by the script; a Langevin run then brings it to 300 K.
 
 
 def read_box(file: Path) -> app.PDBFile:
-    """Read a complete PDB file."""
+    """Return the contents of a PDB file, which must be complete."""
     try:
         if not any(line.startswith("END") for line in file.read_text(encoding="utf-8").splitlines()):
             raise ValueError("it has no END line")
         return app.PDBFile(str(file))
     except OSError:
         raise
-    except Exception as error:  # OpenMM's parser raises whatever it stumbles over
+    except Exception as error:  # OpenMM's parser raises exceptions of any kind
         raise ValueError(f"{file} is no PDB file, or a truncated one: {error}") from error
 
 
 def make_box() -> app.Modeller:
-    """Return topology and positions of 216 molecules."""
+    """Return the topology and positions of a box of 216 water molecules."""
     topology, _, positions = rb.rigid_water(216, nonbondedMethod=app.PME, nonbondedCutoff=0.8 * nanometer)
     return app.Modeller(topology, positions)
 
@@ -125,7 +126,7 @@ def make_box() -> app.Modeller:
 def start_of(
     job: rb.Run, resume: bool, pdb: app.PDBFile | app.Modeller, system: openmm.System, platform: openmm.Platform
 ) -> openmm.State:
-    """Return a canonical start, which both runs and a resumed run share."""
+    """Return an initial State at 300 K, which both runs and a resumed run share."""
     file = job.folder / "start.xml"
     if resume and file.exists():
         try:
@@ -141,7 +142,7 @@ def start_of(
 
 
 def equilibrate(pdb: app.PDBFile | app.Modeller, system: openmm.System, platform: openmm.Platform) -> openmm.State:
-    """Return a canonical start."""
+    """Return a State of the box after 2 ps of Langevin dynamics at 300 K."""
     langevin = openmm.LangevinMiddleIntegrator(300 * kelvin, 5 / unit.picosecond, 2 * femtoseconds)
     langevin.setRandomNumberSeed(1)
     simulation = app.Simulation(pdb.topology, system, langevin, platform)
@@ -167,8 +168,8 @@ def draw(errors: dict[str, np.ndarray], molecules: int, interval: float, file: P
 
 
 # %%
-# Both lines fluctuate about a mean. The amplitude is the error of the method: the smaller it is, the closer the run
-# stays to a surface of constant energy. Try ``--force-interval 1``, or ``--scheme W2_1``.
+# Both total energies fluctuate about a mean. The amplitude is the error of the method: the smaller the amplitude, the
+# closer the run stays to a surface of constant energy. Try ``--force-interval 1``, or ``--scheme W2_1``.
 
 if __name__ == "__main__":
     main()

@@ -3,9 +3,9 @@ The energy error of all schemes
 ===============================
 
 The picture shows all schemes of the catalogue on one problem: heavy tops whose potential energy is as large as their
-kinetic energy. Each row shows the largest energy error of one scheme at four costs. Further to the left is better, and
-the distance between the dots grows with the order. Schemes with several orders reach the higher orders only if the
-potential is small, unlike here.
+kinetic energy. Each row shows the largest energy error of one scheme at four costs. Dots further to the left are
+better, and the distance between the dots of a scheme grows with its order. Schemes with several orders reach the higher
+orders only if the potential is small, unlike here.
 """
 
 import matplotlib.pyplot as plt
@@ -21,7 +21,7 @@ evaluations = (10, 20, 40, 80)
 
 
 def largest_error(scheme, per_time):
-    """Return the largest error of the energy along a run, the median of the tops."""
+    """Return the median over the tops of the largest energy error along a run."""
     n = max(1, round(T * per_time / scheme.forces))
     pause, state, largest = max(1, n // 40), start, np.zeros(len(first))
     for _ in range(max(1, n // pause)):

@@ -20,7 +20,7 @@ topology, system, positions = rb.dipole_fluid(n=n, seed=0, trap=0.5)
 integrator = rb.ExactRigidBodyIntegrator(0.02, scheme="SRKN4_6b")
 simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
 simulation.context.setPositions(positions)
-for seed in range(80):  # momenta drawn anew every 0.5 ps cool the droplet
+for seed in range(80):  # new momenta every 0.5 ps cool the droplet
     integrator.setVelocitiesToTemperature(6.0, seed)
     simulation.step(25)
 x = simulation.context.getState(positions=True).getPositions(asNumpy=True)._value
@@ -28,7 +28,7 @@ bonds = np.array([[a.index, b.index] for a, b in topology.bonds()])
 centres, tips = x[bonds[:, 0]], x[bonds[:, 1]]
 directions = tips - centres
 directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-# The energy of each pair in kJ/mol; mu² = 2. The minimum for a pair head to tail is -2.6.
+# The energy of each pair in kJ/mol; mu² = 2. The minimum for a pair head to tail is -2.6 kJ/mol.
 r = centres[:, None] - centres
 d = np.linalg.norm(r, axis=2) + np.eye(n)
 pair = 2.0 * np.einsum("ik,jk->ij", directions, directions) / d**3 + 4.0 / d**12

@@ -2,10 +2,10 @@
 The Dzhanibekov flip
 ====================
 
-A wing nut that rotates about its middle axis turns over, rests, and turns over again, as a cosmonaut observed. Each
-time it passes close to the separatrix, where small errors of the momentum decide when the next flip comes. Points of
-the exact flow lie on the true curve although the steps are 1.6 rad long, because its error does not depend on the step.
-The McLachlan-Reich rotation, of order 2, flips at the wrong times.
+A wing nut that rotates about its middle axis flips, rotates steadily for a while, and flips again, as a cosmonaut
+observed. Each time, its momentum passes close to the separatrix, where small errors of the momentum determine the time
+of the next flip. The points of the exact flow are on the true curve although the steps are 1.6 rad long, because the
+error of this flow does not depend on the step. The McLachlan-Reich rotation, of order 2, flips at the wrong times.
 """
 
 import matplotlib.pyplot as plt
@@ -18,7 +18,7 @@ from openmm_exactrb.mathematics.quaternions import rotation_matrix
 inertia = np.array([1.0, 1.88, 2.88])
 h, n = 1.6, 75
 start = np.array([1e-3, 1.0, 1e-3])
-start *= inertia[1] / np.linalg.norm(start)  # it turns once in 2 pi
+start *= inertia[1] / np.linalg.norm(start)  # the period of rotation is 2 pi
 q0 = np.array([1.0, 0.0, 0.0, 0.0])
 fine = np.linspace(0.0, n * h, 6001)
 truth = rb.free_rotor(inertia, q0, np.tile(start, (len(fine), 1)), fine)
@@ -33,11 +33,11 @@ for method in ("exact", "mclachlan_reich"):
 
 
 # %%
-# The body at equal times above, its momentum below.
+# Top: the body at equal time intervals. Bottom: its momentum.
 
 
 def draw_nuts(axes, duration):
-    """Draw the body at equal times, seen from the side: its spindle is axis 2."""
+    """Draw the body at equal time intervals, seen from the side; its spindle is axis 2."""
     times = np.linspace(0.0, duration, 26)
     q, _ = rb.free_rotor(inertia, q0, np.tile(start, (len(times), 1)), times)
     for t, Q in zip(times, rotation_matrix(q), strict=True):

@@ -3,9 +3,9 @@ The momentum sphere
 ===================
 
 Every curve is a solution of Euler's equations: the angular momentum of one free body, in the frame of the body. One
-family of curves encloses the axis of the smallest moment of inertia, the other that of the largest. The separatrix
-between them passes through the middle axis, and the motion on it takes infinitely long. Each point was computed by a
-single call from the start of its curve.
+family of curves encloses the axis of the smallest moment of inertia, the other family the axis of the largest. The
+separatrix between them passes through the middle axis, and the motion on it takes infinitely long. Each point was
+computed from the start of its curve in a single step.
 """
 
 import matplotlib.pyplot as plt
@@ -18,7 +18,7 @@ inertia = np.array([1.0, 1.88, 2.88])
 
 
 def orbit(start, duration):
-    """Return one orbit (n, 3), forwards and backwards in time, each point by one call from the start."""
+    """Return one orbit (n, 3), forwards and backwards in time; each point is one step from the start."""
     t = np.linspace(-duration / 2, duration / 2, 2401)
     return rb.free_rotor(inertia, [1.0, 0.0, 0.0, 0.0], np.tile(start, (len(t), 1)), t)[1]
 
@@ -32,12 +32,12 @@ def draw_curve(axes, points, colour, label=None, width=1.4, style="-"):
 
 
 # %%
-# Two families of curves, and the separatrix between them.
+# The picture shows the two families of curves, and the separatrix between them.
 
 figure = plt.figure(figsize=(7.0, 6.6), layout="constrained")
 axes = draw_sphere(figure.add_subplot(projection="3d", computed_zorder=False), azimuth=40.0, elevation=22.0, zoom=1.1)
 I1, I2, I3 = inertia
-# The separatrix passes the middle axis in the planes rho m1² = sigma m3².
+# The separatrix passes through the middle axis in the planes rho m1² = sigma m3².
 slope = np.sqrt(I3 * (I2 - I1) / (I1 * (I3 - I2)))
 angles = np.arctan(slope) * np.array([0.2, 0.45, 0.7, 0.88])
 others = np.pi / 2 - (np.pi / 2 - np.arctan(slope)) * np.array([0.2, 0.45, 0.7, 0.88])

@@ -2,8 +2,8 @@
 The path of a satellite
 =======================
 
-A satellite on a circular orbit is subject to the torque of the gravity gradient. Left: the direction of the earth in
-the frame of the satellite. Right: the energy error of the same motion at two step sizes.
+A satellite on a circular orbit is subject to the torque of the gravity gradient. The left panel shows the direction of
+the earth in the frame of the satellite, and the right panel the energy error of the same motion at two step sizes.
 """
 
 import matplotlib as mpl
