@@ -1,4 +1,4 @@
-"""Rigid-body dynamics for OpenMM with the exact free rotation and high-order symplectic splittings."""
+"""Rigid-body dynamics for OpenMM with exact free rotation and high-order symplectic splittings."""
 
 from openmm_exactrb import ensemble
 from openmm_exactrb.averages import AverageReporter, corrected, pressure_offset

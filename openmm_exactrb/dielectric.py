@@ -11,7 +11,7 @@ _ASKED = (
     "rows of three numbers in sqrt(kJ/mol nm³), without a unit: moments in e nm times "
     "dipole_strength(1 * elementary_charge * nanometer)"
 )
-_LARGEST = 1e100  # whose squares, and the sums of many, are still numbers
+_LARGEST = 1e100  # so that squares, and sums of many of them, stay finite
 
 
 def reaction(dielectric: float) -> float:
@@ -24,27 +24,29 @@ def reaction(dielectric: float) -> float:
 def dielectric_constant(
     moments: ArrayLike, volume: float, kT: float, *, dielectric: float = np.inf, blocks: int = 20
 ) -> tuple[float, float]:
-    """Return the dielectric constant and its standard error from moments in equilibrium.
+    """Return the dielectric constant and its standard error from total dipole moments sampled in equilibrium.
 
-    With x = 4 pi <M²>/(9 V kT) and Q = 2 (eps' - 1)/(2 eps' + 1) for surroundings with dielectric constant eps',
+    With x = 4 pi <M²>/(9 V kT) and Q = 2 (eps' - 1)/(2 eps' + 1), where eps' is the dielectric constant of the
+    surroundings, the dielectric constant is
 
-        eps = (1 + (Q + 2) x)/(1 + (Q - 1) x),
+        eps = (1 + (Q + 2) x)/(1 + (Q - 1) x).
 
-    for any dipole interaction with the uniform part Q (M. Neumann, Mol. Phys. 50, 841 (1983)). In conducting
-    surroundings (an Ewald sum, or a reaction field with infinite dielectric) this is eps = 1 + 3 x; without a reaction
-    field it is the Clausius-Mossotti formula.
+    The formula holds for every dipole interaction that gives a uniform polarisation the reaction field of these
+    surroundings (Neumann, Mol. Phys. 50, 841 (1983)). In conducting surroundings (an Ewald sum, or a reaction field
+    with infinite dielectric constant) it reduces to eps = 1 + 3 x; without a reaction field it is the Clausius-Mossotti
+    formula.
 
     Parameters
     ----------
     moments : (n, 3) array_like
-        Total dipole moment in sqrt(kJ/mol nm³), evenly spaced in time; moments in e nm times
+        Total dipole moments in sqrt(kJ/mol nm³) at equal intervals of time. Multiply moments in e nm by
         ``dipole_strength(1 * elementary_charge * nanometer)``.
     volume : float
         Volume of the box, in nm³.
     kT : float
-        In kJ/mol.
+        Boltzmann constant times temperature, in kJ/mol.
     dielectric : float
-        eps' of the surroundings, as in the `ReactionField` or `Ewald` of the run.
+        Dielectric constant eps' of the surroundings, as in the `ReactionField` or `Ewald` of the run.
     blocks : int
         Number of blocks into which the run is divided to estimate the error. Each block should be much longer than the
         correlation time of the moment.
@@ -55,7 +57,8 @@ def dielectric_constant(
         The dielectric constant; infinity if the fluctuations of M exceed the limit of the formula for these
         surroundings.
     error : float
-        Standard error from the block means of Mx², My² and Mz², which are independent and have the same expectation.
+        Standard error, estimated from the block means of Mx², My² and Mz², which are independent and have the same
+        expectation.
 
     Raises
     ------
@@ -65,8 +68,8 @@ def dielectric_constant(
 
     Notes
     -----
-    <M> is zero without a field, and is not estimated from the run, because deviations from the mean of a short run
-    would be too small.
+    Without a field, <M> is zero. This mean is not estimated from the run, because deviations from the mean of a short
+    run underestimate the fluctuations.
     """
     M = checks.array(moments, "moments", _ASKED)
     if M.ndim != 2 or M.shape[1] != 3:
@@ -81,7 +84,7 @@ def dielectric_constant(
     means = np.array([np.mean(block**2, axis=0) for block in np.array_split(M, blocks)])
     scale = 4.0 * np.pi / (9.0 * volume * kT)
     x = scale * float(np.sum(np.mean(M**2, axis=0)))
-    # The sum of three components, each the mean over the blocks.
+    # Of the sum of three components, each of which is a mean over the blocks.
     spread = scale * 3.0 * float(np.std(means, ddof=1)) / means.size**0.5
     left = 1.0 + (Q - 1.0) * x
     if left <= 0.0:

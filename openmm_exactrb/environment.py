@@ -25,7 +25,7 @@ class Clock(Protocol):
 
 
 class Numbers(Protocol):
-    """Named numbers that checkpoints contain; additions to `present` take effect when the step is kept."""
+    """Named numbers that checkpoints contain; changes of `present` become permanent when the step is accepted."""
 
     present: dict[str, float]
 
@@ -39,17 +39,17 @@ class Forces(Protocol):
         """Return the force (3, N) and body-frame torque (3, K) of a state at the present positions."""
 
     def at(self, state: State) -> Force:
-        """Return force and torque at the positions of any state."""
+        """Return the force and the torque at the positions of a state, which need not be the present ones."""
 
     def energy(self, state: State) -> float:
         """Return the potential energy (kJ/mol) of all forces for a state at the present positions."""
 
     def with_energies(self) -> None:
-        """Evaluate the potential energy together with each force, because it will be needed."""
+        """Evaluate the potential energy together with the forces from now on, because it will be needed."""
 
 
 class Environment(Protocol):
-    """The argument of `bind`: what a substep or a thermostat can use.
+    """The argument of `bind`: the quantities and functions that a substep or a thermostat can use.
 
     Attributes
     ----------
@@ -69,19 +69,19 @@ class Environment(Protocol):
 
     @property
     def inertia(self) -> Array:
-        """Principal moments (3, K), infinite about the axis of a linear body."""
+        """The principal moments (3, K), which are infinite about the axis of a linear body."""
 
     @property
     def kinetic(self) -> Kinetic:
-        """Free motion, including fast forces."""
+        """The free motion of the bodies, including any fast forces."""
 
     @property
     def numbers(self) -> Numbers:
-        """Persistent numbers that substeps change."""
+        """The persistent numbers that substeps change."""
 
     @property
     def clock(self) -> Clock:
-        """The number of the step and its time."""
+        """The clock, with the number of the present step and its time."""
 
     @property
     def divergence(self) -> DivergenceCheck:
@@ -92,7 +92,7 @@ class Environment(Protocol):
         """The numbers of translational and of rotational degrees of freedom."""
 
     def forces(self, group: int | None = None) -> Forces:
-        """Return the forces of a group, or of all kicks."""
+        """Return the forces of a force group or, by default, the forces of kicks."""
 
     def exchange_of(self, number: int) -> Flow[State]:
         """Return the flow of the n-th heat exchange in a step."""

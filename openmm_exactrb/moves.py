@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
-#: exchange(tau) -> numbers that kernels need of a heat exchange over tau (ps).
+#: exchange(tau) -> the numbers that kernels need for a heat exchange over tau (ps).
 Exchange = Callable[[float], tuple[float, ...]]
 
 
-#: A move in the text of a user, and its name.
+#: The function of a move in a user's source text, and its name.
 MOVE = re.compile(r"\bDEVICE\s+(?:inline\s+)?void\s+(\w+)\s*\(\s*Body\s*\*\s*\w+\s*,\s*double\s+\w+\s*\)")
 
 
@@ -20,28 +20,29 @@ class Op(IntEnum):
     """The kinds of moves, with the numbers that kernels/moves.cl uses."""
 
     DRIFT = 0  # free motion
-    KICK = 1  # momenta by the forces here
-    EXCHANGE = 2  # heat exchange: numbers are those of the thermostat
-    LAST_KICK = 3  # momenta by a weighted sum of remembered forces
-    REMEMBER = 4  # the forces here, as those of the most recent place
-    DISPLACE = 5  # the particles by the forces here, the body stays; numbers are e
-    DISPLACED_KICK = 6  # momenta by the forces at displaced particles; numbers are tau and e
-    FAST_KICK = 7  # momenta of bodies with inner steps by the fast forces here
-    OWN = 16  # the first of those of users
+    KICK = 1  # change of momenta by the present forces
+    EXCHANGE = 2  # heat exchange with the numbers of the thermostat
+    LAST_KICK = 3  # change of momenta by a weighted sum of stored forces
+    REMEMBER = 4  # storage of the present forces as the most recent ones
+    DISPLACE = 5  # displacement of particles, not of bodies, by the present forces; the number is e
+    DISPLACED_KICK = 6  # change of momenta by the forces on displaced particles; the numbers are tau and e
+    FAST_KICK = 7  # change of momenta of bodies with inner steps by the present fast forces
+    OWN = 16  # the first of the users' moves
 
 
 @dataclass(frozen=True)
 class Move:
-    """A move of all bodies.
+    """A move of the bodies.
 
     Attributes
     ----------
     op : Op or int
     part : float
-        Fraction of the step; for the number e of a displacement, fraction of its square.
+        The fraction of the step; for a displacement, the factor of the squared step in its number e.
     number : int
-        For a heat exchange, its index in the step. For a move that stores forces, its index among those of the step.
-        For a kick by stored forces, the number of weights of forces; the other weights are those of differences.
+        For a heat exchange, its index in the step. For a move that stores forces, its index among such moves in the
+        step. For a kick by stored forces, the number of weights that multiply forces; the remaining weights multiply
+        differences.
     groups : int
         Bits of the force groups that the move needs: -1 for all, 0 for none.
     weights : tuple of float
@@ -50,9 +51,9 @@ class Move:
         "all", "inner" or "others", as for `openmm_exactrb.substeps.Drift`.
     text : str
         Source of a user's move: a function ``DEVICE inline void NAME(Body* body, double tau)`` in OpenMM's kernel
-        dialect; if the text defines several, the last one.
+        dialect. If the text defines several such functions, the last one is the move.
     late : bool
-        Whether the move belongs to the next step, if a segment ends a step.
+        Whether the move belongs to the next step, in a segment that joins two steps.
     """
 
     op: int
@@ -70,7 +71,7 @@ class Move:
         return self.op in (Op.DRIFT, Op.DISPLACE) or self.op >= Op.OWN
 
     def numbers(self, h: float, exchange: Exchange | None) -> tuple[float, ...]:
-        """Return the factors that a kernel uses for steps of h (ps)."""
+        """Return the numbers that a kernel uses for the move in steps of h (ps)."""
         tau = self.part * h
         if self.op == Op.EXCHANGE:
             assert exchange is not None

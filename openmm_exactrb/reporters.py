@@ -21,16 +21,16 @@ from openmm_exactrb.openmm_access.units import stripped
 from openmm_exactrb.support import checks
 from openmm_exactrb.support.types import Array
 
-# Largest net charge of a molecule that force fields leave by rounding charges.
+# Largest net charge (e) of a molecule that counts as neutral, because force fields round charges.
 _NEUTRAL = 1e-3
 _COLUMNS = ("translational (kJ/mol)", "rotational (kJ/mol)", "translational (K)", "rotational (K)")
 _SUMS = ("kinetic (kJ/mol)", "potential (kJ/mol)", "total (kJ/mol)")
-# Of a time in ps: more would show how the steps before it were added up.
+# Significant digits of a time in ps; more digits would show the roundoff of adding up steps.
 _DIGITS = 12
 
 
 class _Lines:
-    """Lines of CSV at intervals, each flushed immediately."""
+    """A reporter that writes a line of CSV at intervals of steps, and flushes it immediately."""
 
     def __init__(
         self, file: str | os.PathLike[str] | TextIO, reportInterval: int, columns: Sequence[str], append: bool
@@ -72,10 +72,10 @@ class EnergyReporter(_Lines):
     ----------
     file : str, path or open text file
     reportInterval : int
-        Steps between two lines.
+        Number of steps between two lines.
     append : bool, optional
-        Append to the lines of an existing file, and write the names of the columns only if it is empty. A ValueError is
-        raised if the last line of the file is incomplete, because a script was killed.
+        Whether to append to an existing file; the names of the columns are then written only if the file is empty. A
+        ValueError is raised if the last line of the file is incomplete, for example because a script was killed.
 
     Notes
     -----
@@ -87,7 +87,7 @@ class EnergyReporter(_Lines):
         super().__init__(file, reportInterval, ("step", "time (ps)", *_COLUMNS, *_SUMS), append)
 
     def describeNextReport(self, simulation: Any) -> dict[str, Any]:
-        """Return when the next line is due and which data it needs, as OpenMM requires.
+        """Return the number of steps to the next line, and the data that it needs, as OpenMM requires.
 
         Raises
         ------
@@ -113,19 +113,19 @@ class MomentReporter(_Lines):
     """Write the total dipole moment as CSV, with all digits of float64.
 
     The moment is the sum of charge times position over all particles. In a periodic box, molecules are made whole along
-    constraints and bonds first. For soft dipoles the charge is strength/length at the tip of an arrow and its negative
-    at the centre, as in the example `dielectric_constant.py`.
+    constraints and bonds first. For soft dipoles, assign the charge strength/length to the tip of each arrow and
+    -strength/length to its centre, as in the example `dielectric_constant.py`.
 
     Parameters
     ----------
     file : str, path or open text file
     reportInterval : int
-        Steps between two lines.
+        Number of steps between two lines.
     charges : (n_particles,) array_like or Quantity
         Quantities are converted to elementary charges, so that the moment is in e nm; plain numbers are used unchanged.
-        The charges of every molecule must add up to zero, within 0.001.
+        The charges of every molecule must add up to zero to within 0.001.
     append : bool, optional
-        As for `EnergyReporter`.
+        As in `EnergyReporter`.
 
     Raises
     ------
@@ -137,16 +137,16 @@ class MomentReporter(_Lines):
         self, file: str | os.PathLike[str] | TextIO, reportInterval: int, charges: ArrayLike, append: bool = False
     ) -> None:
         self._charges = _elementary(charges)
-        self._links: Links | None = None  # of the molecules, found at the first report
+        self._links: Links | None = None  # within molecules, found at the first report
         super().__init__(file, reportInterval, ("step", "time (ps)", "Mx", "My", "Mz"), append)
 
     def describeNextReport(self, simulation: Any) -> dict[str, Any]:
-        """Return when the next line is due and which data it needs, as OpenMM requires.
+        """Return the number of steps to the next line, and the data that it needs, as OpenMM requires.
 
         Raises
         ------
         ValueError
-            If there is not one charge for each particle, or a molecule is not neutral.
+            If the number of charges is not the number of particles, or a molecule is not neutral.
         """
         self._links_of(simulation)
         return {"steps": self._steps_left(simulation), "periodic": False, "include": ["positions"]}
@@ -188,7 +188,7 @@ def _elementary(charges: Any) -> Array:
 
 
 def _check_ions(charges: Array, molecule: NDArray[np.integer[Any]]) -> None:
-    """Raise a ValueError if a molecule is not neutral: the moment would depend on where its images lie."""
+    """Raise ValueError if a molecule is not neutral, because the moment would depend on its periodic image."""
     total = np.bincount(molecule, charges)
     worst = int(np.abs(total).argmax())
     if abs(total[worst]) > _NEUTRAL:

@@ -13,18 +13,18 @@ from openmm_exactrb.openmm_access import arrays
 
 
 def loadState(target: app.Simulation | openmm.Context, source: str | os.PathLike[str] | openmm.State) -> None:
-    """Load a State that was saved under another integrator.
+    """Load a State that was saved with another integrator.
 
     OpenMM's ``simulation.loadState(file)`` and ``context.setState(state)`` fail with "Unknown property 'version'" if
-    the new integrator is a CustomIntegrator and the old one is not. In the other direction, use
-    ``simulation.loadState``.
+    the new integrator is a CustomIntegrator and the old one is not. This function avoids the failure. To load a State
+    of a CustomIntegrator into another integrator, use ``simulation.loadState``.
 
     Parameters
     ----------
     target : openmm.app.Simulation or openmm.Context
     source : str, path or openmm.State
         A file that ``simulation.saveState`` wrote, or a State. Its positions, velocities, box, time and step count are
-        loaded, and those of its parameters that the target also has.
+        loaded, and so are those parameters that the target has too.
 
     Raises
     ------
@@ -65,12 +65,12 @@ def loadState(target: app.Simulation | openmm.Context, source: str | os.PathLike
 
 
 def read_xml(file: str | os.PathLike[str], kind: type[Any], writer: str = "openmm.XmlSerializer") -> Any:
-    """Read an object of a given class, such as openmm.System, from the XML of a `writer`.
+    """Read an object of a given class, such as openmm.System, from an XML file; errors name the `writer` of such files.
 
     Raises
     ------
     ValueError
-        If the file has another format, or holds another kind of object.
+        If the file has another format, or contains an object of another class.
     OSError
         If the file cannot be read.
     """

@@ -1,7 +1,7 @@
 """Substeps: the parts of a step, with their flows and properties.
 
 A scheme is a sequence of substeps, each with its fraction of the step. A substep defines its flow, its force
-evaluations, the substeps that it commutes with, its matrix for a harmonic oscillator, and its program on a device.
+evaluations, whether it commutes with other substeps, its matrix for a harmonic oscillator, and its moves on a device.
 """
 
 from __future__ import annotations
@@ -29,21 +29,22 @@ Matrix = tuple[tuple[Any, Any], tuple[Any, Any]]
 class Substep:
     """A part of a step.
 
-    For a custom substep, derive a frozen dataclass and use it in the sequence of a `Scheme`. It needs no registration.
-    Substeps are compared by value.
+    To define a custom substep, derive a frozen dataclass from this class, and use instances of it in the sequence of a
+    `Scheme`. The class need not be registered. Substeps are compared by value.
 
     Attributes
     ----------
     symbol : str
         Symbol for display.
     moves : bool
-        Whether it may change positions, the box or parameters, so that forces must be evaluated again.
+        Whether the substep may change positions, the box or parameters, so that forces must be evaluated again.
     kicks : bool
-        Whether it changes momenta by forces at the present positions: such substeps commute.
+        Whether the substep changes momenta by forces at the present positions; such substeps commute.
     additive : bool
-        Whether two substeps in succession equal one over the sum of their times, as for every flow.
+        Whether two successive substeps equal one substep over the sum of their times, which is the case for every exact
+        flow.
     displaced_forces : int
-        Force evaluations at positions other than the present ones.
+        Number of force evaluations at displaced positions.
     """
 
     symbol: ClassVar[str] = "?"
@@ -62,7 +63,7 @@ class Substep:
         raise NotImplementedError(f"{type(self).__name__} must define bind(), which returns its flow")
 
     def oscillator(self, tau: Any) -> Matrix:
-        """Return the matrix of the substep for q'' = -q, with times in units of 1/omega."""
+        """Return the matrix of the substep for the oscillator q'' = -q, with tau in units of 1/omega."""
         raise ValueError(f"{self!r} has no matrix for a harmonic oscillator: define its method oscillator()")
 
     def device_moves(self, part: float) -> tuple[Move, ...] | None:
@@ -81,7 +82,7 @@ class Drift(Substep):
     Parameters
     ----------
     bodies : {"all", "inner", "others"}, optional
-        Which bodies move: those with inner steps, the others, or all.
+        The bodies that move: all bodies, those with inner steps, or those without.
     """
 
     bodies: str = "all"
@@ -95,11 +96,11 @@ class Drift(Substep):
         return kinetic.drift if self.bodies == "all" else kinetic.split[self.bodies]
 
     def oscillator(self, tau: Any) -> Matrix:
-        """Return the matrix of q' = p."""
+        """Return the matrix of the flow of q' = p."""
         return (1.0, tau), (0.0, 1.0)
 
     def device_moves(self, part: float) -> tuple[Move, ...]:
-        """Return the drift."""
+        """Return the move of the drift."""
         return (Move(Op.DRIFT, part, bodies=self.bodies),)
 
 
@@ -107,12 +108,12 @@ class Drift(Substep):
 class Kick(Substep):
     """The flow of the potential energy: forces change momenta at fixed positions.
 
-    Momenta of constrained clusters are projected by the next drift.
+    The next drift projects the momenta of constrained clusters onto the constraints.
 
     Parameters
     ----------
     group : int, optional
-        A force group; if not given, all forces that are not integrated within the drifts.
+        The force group; by default, all forces that are not integrated within the drifts.
     """
 
     group: int | None = None
@@ -123,19 +124,19 @@ class Kick(Substep):
     additive: ClassVar[bool] = True
 
     def bind(self, environment: Environment) -> Flow[State]:
-        """Return P + tau F and m + tau N."""
+        """Return the flow that adds tau F to P, and tau N to m."""
         return kick(environment.forces(self.group), environment.divergence.finite_momenta)
 
     def oscillator(self, tau: Any) -> Matrix:
-        """Return the matrix of p' = -q."""
+        """Return the matrix of the flow of p' = -q."""
         return (1.0, 0.0), (-tau, 1.0)
 
     def device_moves(self, part: float) -> tuple[Move, ...]:
-        """Return the kick by the forces of its groups."""
+        """Return the move of the kick, with the bits of its force groups."""
         return (Move(Op.KICK, part, groups=-1 if self.group is None else 1 << self.group),)
 
     def __str__(self) -> str:
-        """Return B, or B3 for group 3."""
+        """Return the symbol B, followed by the number of the force group if there is one."""
         return self.symbol if self.group is None else f"{self.symbol}{self.group}"
 
 
@@ -143,15 +144,16 @@ class Kick(Substep):
 class GradientKick(Substep):
     """A kick with a force-gradient term, by forces at displaced positions.
 
-    Over tau it is the flow of V - (strength/2) tau² f . M^-1 f up to higher orders of tau: the force is evaluated at R
-    + d, q exp(e I^-1 N), where d = e F/M and e = strength tau². The torque is about R, that is, larger by d x F than
-    about the displaced centre, and in the axes of q: both parts are of second order in e except for the commutator of
-    the axes, e (I^-1 N) x N. It is time-reversible, symplectic up to those orders, and conserves the linear momentum,
-    and the angular momentum if all particles belong to bodies that rotate about three axes; single particles and
-    linear bodies, which cannot absorb such torques, lose some of it at those orders. For particles this is the
+    Over tau, the kick is the flow of V - (strength/2) tau² f . M^-1 f up to higher orders of tau. The force is
+    evaluated at R + d, q exp(e I^-1 N), where d = e F/M and e = strength tau². The torque refers to R and to the axes
+    of q: it exceeds the torque about the displaced centre by d x F, and is rotated from the displaced axes. Both
+    corrections are of second order in e, except for the commutator of the axes, e (I^-1 N) x N. The kick is
+    time-reversible and, up to these orders, symplectic. It conserves the linear momentum, and also the angular momentum
+    if all particles belong to bodies that rotate about three axes; for single particles and linear bodies, which cannot
+    absorb such torques, the angular momentum is conserved up to these orders only. For single particles, this is the
     Hessian-free kick of K. Schäfers, J. Finkenrath, M. Günther and F. Knechtli, Comput. Phys. Commun. 309, 109478
-    (2025). Constrained atoms are displaced along the geodesic of F, and the force there is projected onto the
-    constraints: to first order this gives the covariant derivative of F along itself.
+    (2025). Constrained atoms are displaced along the geodesic of F, and the force at the displaced positions is
+    projected onto the constraints; to first order in e, this gives the covariant derivative of F along itself.
 
     Parameters
     ----------
@@ -166,30 +168,30 @@ class GradientKick(Substep):
     displaced_forces: ClassVar[int] = 1
 
     def bind(self, environment: Environment) -> Flow[State]:
-        """Return the kick by displaced forces."""
+        """Return the flow of the kick by the forces at displaced positions."""
         kinetic, inertia = environment.kinetic, environment.inertia
         return gradient_kick(environment.forces(), kinetic, inertia, self.strength, environment.divergence.finite)
 
     def oscillator(self, tau: Any) -> Matrix:
-        """Return the matrix of the exact gradient: f . M^-1 f is q²."""
+        """Return the matrix of the kick by the exact gradient, for which f . M^-1 f is q²."""
         return (1.0, 0.0), (-tau * (1.0 - self.strength * tau * tau), 1.0)
 
     def device_moves(self, part: float) -> tuple[Move, ...]:
-        """Return the displacement and the kick by the forces there."""
+        """Return the moves: the displacement, and the kick by the forces at the displaced positions."""
         e = self.strength * part * part
         return Move(Op.DISPLACE, e, groups=-1), Move(Op.DISPLACED_KICK, part, groups=-1, weights=(e,))
 
 
 @dataclass(frozen=True)
 class LastForcesKick(Substep):
-    """A kick by a weighted sum of the forces of the last kicks, without force evaluations; for output only.
+    """A kick by a weighted sum of the stored forces of the last kicks, for output only; it evaluates no forces.
 
     Parameters
     ----------
     weights : tuple of float
-        Weights of the last forces, most recent first.
+        Weights of the last forces, with the most recent one first.
     differences : tuple of float, optional
-        Weights of the last force-gradient terms: displaced forces minus undisplaced forces.
+        Weights of the last force-gradient terms, which are displaced forces minus undisplaced forces.
     """
 
     weights: tuple[float, ...]
@@ -199,7 +201,7 @@ class LastForcesKick(Substep):
     moves: ClassVar[bool] = False
 
     def bind(self, environment: Environment) -> Flow[State]:
-        """Return P + tau sum_k w_k F_k and m + tau sum_k w_k N_k."""
+        """Return the flow that adds tau sum_k w_k F_k to P, and tau sum_k w_k N_k to m."""
         advance, own = advancing(), environment.forces()
 
         def flow(state: State, tau: float) -> State:
@@ -212,7 +214,7 @@ class LastForcesKick(Substep):
         return flow
 
     def device_moves(self, part: float) -> tuple[Move, ...]:
-        """Return the kick, with the number of its weights of forces."""
+        """Return the move of the kick, whose `number` is the number of weights of forces."""
         return (Move(Op.LAST_KICK, part, len(self.weights), weights=(*self.weights, *self.differences)),)
 
 
@@ -237,21 +239,21 @@ class HeatExchange(Substep):
         return environment.exchange_of(self.number)
 
     def oscillator(self, tau: Any) -> Matrix:
-        """Return the identity: a thermostat is ignored."""
+        """Return the identity, because the thermostat is ignored."""
         return (1.0, 0.0), (0.0, 1.0)
 
     def device_moves(self, part: float) -> tuple[Move, ...]:
-        """Return the heat exchange, which has random numbers of its own."""
+        """Return the move of the heat exchange, whose number selects its random numbers."""
         return (Move(Op.EXCHANGE, part, self.number),)
 
 
-#: Pairs of a substep and its part of the step, in the order of their use.
+#: Pairs of a substep and its fraction of the step, in the order of their execution.
 Sequence = tuple[tuple[Substep, float], ...]
 DRIFT, KICK, HEAT_EXCHANGE = Drift(), Kick(), HeatExchange()
 
 
 def of_symbol(symbol: str) -> Substep:
-    """Return the substep of a symbol: "A" drift, "B" kick, "B3" kick by force group 3, "O" heat exchange."""
+    """Return the substep of a symbol: drift "A", kick "B", kick by force group 3 "B3", or heat exchange "O"."""
     found = {str(substep): substep for substep in (DRIFT, KICK, HEAT_EXCHANGE)}.get(symbol)
     group = re.fullmatch(r"B(\d+)", symbol)
     if group:
@@ -269,7 +271,7 @@ def _unchecked(state: State) -> None:
 
 
 def kick(forces: Callable[[State], Force], check: Callable[[State], Any] = _unchecked) -> Flow[State]:
-    """Return the flow of the potential energy of forces; `check` raises for momenta that are not finite."""
+    """Return the flow of the potential energy of `forces`; `check` raises an error if momenta are not finite."""
     advance = advancing()
 
     def flow(state: State, tau: float) -> State:
@@ -284,7 +286,7 @@ def kick(forces: Callable[[State], Force], check: Callable[[State], Any] = _unch
 def gradient_kick(
     forces: Forces, kinetic: Kinetic, inertia: Array, strength: float, check: Callable[[State], Any] = _unchecked
 ) -> Flow[State]:
-    """Return the flow of `GradientKick` by displaced forces; arguments are fields of the environment."""
+    """Return the flow of `GradientKick`; all arguments except `strength` are taken from the environment."""
     advance = advancing()
 
     def flow(state: State, tau: float) -> State:

@@ -16,12 +16,12 @@ from openmm_exactrb.runs import Run
 #: Files in the folder of a run.
 ENERGIES, VOLUME, PICTURE = "energies.csv", "volume.csv", "picture.png"
 
-_FEW = 3  # lines; fewer have no meaningful standard deviation
+_FEW = 3  # lines of a table; fewer give no meaningful standard deviation
 _TEMPERATURES = {"translation": 4, "rotation": 5}  # the columns of `EnergyReporter`
 
 
 def summary(simulation: Any, job: Run, ensemble: str) -> Iterator[str]:
-    """Yield the lines of a summary, given the Simulation at its end."""
+    """Yield the lines of the summary of a run, from the Simulation at its last step."""
     integrator = simulation.integrator
     table, (bodies, _) = _table(job.folder / ENERGIES), integrator.bodyState()
     length = simulation.currentStep * integrator.getStepSize().value_in_unit(unit.picosecond)
@@ -36,7 +36,7 @@ def summary(simulation: Any, job: Run, ensemble: str) -> Iterator[str]:
 
 
 def draw(folder: Path, ensemble: str) -> None:
-    """Draw energy or density, and temperatures, over time, if matplotlib is installed."""
+    """Plot the temperatures, and the energy or the density, against time if matplotlib is installed."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
@@ -63,7 +63,7 @@ def draw(folder: Path, ensemble: str) -> None:
 
 
 def _temperatures(table: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-    """Return the temperatures of translation and rotation that have degrees of freedom."""
+    """Return the temperatures of translation and rotation, omitting a motion without degrees of freedom."""
     return {name: table[:, k] for name, k in _TEMPERATURES.items() if not np.isnan(table[:, k]).any()}
 
 

@@ -1,4 +1,4 @@
-"""Types of options: numbers within a range, and times with or without a unit."""
+"""Types of command-line options: numbers within a range, and times with or without a unit."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ class Parser(argparse.ArgumentParser):
     """A parser with one-line error messages."""
 
     def error(self, message: str) -> NoReturn:
-        """Exit with status 2 and one line, without the usage."""
+        """Print the error as one line without the usage, and exit with status 2."""
         self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
 
 def _option(convert: Callable[[str], Any], fits: Callable[[Any], bool], description: str) -> Callable[[str], Any]:
-    """Return an argparse type that accepts converted values within a range."""
+    """Return an argparse type that converts text, and accepts values within a range."""
 
     def checked(text: str) -> Any:
         try:
@@ -44,7 +44,7 @@ def _picoseconds(text: str) -> float:
 
 
 def one_of(names: Iterable[str]) -> dict[str, Any]:
-    """Return the arguments of argparse for an option that is one of several names, in upper or lower case."""
+    """Return the argparse arguments for an option that takes one of several names, in upper or lower case."""
     by_case = {name.lower(): name for name in names}
     return {"type": lambda text: by_case.get(text.lower(), text), "choices": [*by_case.values()]}
 
@@ -58,12 +58,12 @@ time_or_zero = _option(_picoseconds, lambda value: value >= 0.0, f"a time of at 
 
 
 def flag(name: str) -> str:
-    """Return the command-line option for an argument in Python: --inner-steps for innerSteps."""
+    """Return the command-line option for a Python argument, such as --inner-steps for innerSteps."""
     return "--" + re.sub("([A-Z])", r"-\1", name).lower()
 
 
 def time_with_unit(text: str) -> float:
-    """Return a positive time with a unit in ps."""
+    """Return a positive time in ps from text with a unit."""
     value = float(time(text))
     if not text.strip()[-1].isalpha():
         raise argparse.ArgumentTypeError(f"{text!r} has no unit: write {text}fs for femtoseconds, or {text}ps")
@@ -71,5 +71,5 @@ def time_with_unit(text: str) -> float:
 
 
 def time_or_auto(text: str) -> float | None:
-    """Return a positive time with a unit in ps, or None for "auto"."""
+    """Return a positive time in ps from text with a unit, or None for "auto"."""
     return None if text == "auto" else time_with_unit(text)

@@ -23,7 +23,7 @@ from openmm_exactrb.multiple_time_steps.stiffness import frequencies
 from openmm_exactrb.schemes import splitting
 from openmm_exactrb.tuning.floor import causes
 
-_SHOWN = 3  # periods
+_SHOWN = 3  # number of periods in the description
 _WATER = 18.015  # amu
 
 
@@ -36,9 +36,9 @@ def described(
     ----------
     system : openmm.System
     positions : Quantity, optional
-        Positions (n_particles, 3). Without them, shapes follow from constraints alone.
+        Positions (n_particles, 3). Without positions, shapes follow from constraints alone.
     topology : openmm.app.Topology, optional
-        For the names of atoms.
+        Topology from which the names of atoms and residues are taken.
     """
     names = _Names(system, topology)
     yield from _particles(system)
@@ -64,7 +64,7 @@ def described(
 
 
 def _found(system: openmm.System, positions: unit.Quantity | None) -> tuple[RigidBodies, list[str]]:
-    """Return the bodies of a first step and its warnings; without positions, what constraints alone determine."""
+    """Return the bodies and the warnings of a first step; without positions, the bodies that constraints determine."""
     if positions is None:
         return find_bodies(system, np.random.default_rng(1).standard_normal((system.getNumParticles(), 3))), []
     integrator = ExactRigidBodyIntegrator(0.001)
@@ -90,7 +90,7 @@ class _Names:
         return ", ".join(self._atoms[i] for i in particles)
 
     def residues(self, particles: NDArray[np.integer[Any]]) -> str:
-        """Return the distinct residues of the first particles of bodies, at most three."""
+        """Return the distinct names of the residues of the first particles of bodies, at most three."""
         found = dict.fromkeys(self._residues[i] for i in particles[:, 0].tolist())
         shown = [name for name in islice(found, 3) if name]
         return f" ({', '.join(shown)}{', ...' if len(found) > 3 else ''})" if shown else ""
@@ -111,7 +111,7 @@ def _particles(system: openmm.System) -> Iterator[str]:
 
 
 def _bodies(bodies: RigidBodies, names: _Names) -> Iterator[str]:
-    """Yield a line for each size of rigid bodies and clusters, and one for single particles."""
+    """Yield lines about rigid bodies, constrained clusters, single particles and degrees of freedom."""
     several: dict[tuple[int, bool, bool], list[Kind]] = {}
     for kind in bodies.kinds:
         if len(kind.masses) > 1:
@@ -149,7 +149,7 @@ def _bodies(bodies: RigidBodies, names: _Names) -> Iterator[str]:
 
 
 def _periods(system: openmm.System, names: _Names) -> Iterator[str]:
-    """Yield the shortest periods of bonds and angles, each frequency once."""
+    """Yield a line with the shortest periods of bonds and angles, in which each frequency occurs once."""
     distinct: dict[float, tuple[int, ...]] = {}
     for some, particles in frequencies(system):
         for frequency, own in zip(some.tolist(), particles.tolist(), strict=True):
@@ -164,7 +164,7 @@ def _periods(system: openmm.System, names: _Names) -> Iterator[str]:
 
 
 def _advice(system: openmm.System, bodies: RigidBodies) -> Iterator[str]:
-    """Yield a line for constant energy and one for constant temperature, if steps were measured."""
+    """Yield settings for constant energy and for constant temperature, if steps were measured for such molecules."""
     if not any(len(kind.masses) == 3 and abs(kind.mass - _WATER) < 0.1 for kind in bodies.kinds):
         yield "step: not measured for such molecules; exactrb tune finds one"
         return

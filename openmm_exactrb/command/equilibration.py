@@ -26,15 +26,15 @@ from openmm_exactrb.tuning.preparation import heat, minimise
 #: Files in the folder of a run: the start, and the tuned scheme and step.
 START, STEP = "start.xml", "step.json"
 
-# Without --equilibrate: the part of --duration, and the longest time in ps.
+# Length of the equilibration without --equilibrate: a fraction of --duration, and at most this time in ps.
 _PART, _LONGEST = 0.2, 5.0
 
 
 def claim(job: Run, args: argparse.Namespace, files: Iterable[str]) -> None:
     """Prepare the folder of a locked run: delete overwritten files, and raise ValueError for files of other runs.
 
-    The run may write `files`, in addition to the files of this module, which a run resumed without a checkpoint creates
-    again.
+    The run writes `files` in addition to the files of this module. If it is resumed without a checkpoint, it creates
+    the files of this module again.
     """
     if job.resuming:
         return
@@ -48,7 +48,7 @@ def claim(job: Run, args: argparse.Namespace, files: Iterable[str]) -> None:
 
 
 def start_of(job: Run, args: argparse.Namespace, box: Box, platform: openmm.Platform) -> openmm.State:
-    """Return the State at step 0: the user's, or an equilibrated one.
+    """Return the State at step 0, which is that of the user or an equilibrated one.
 
     A start without velocities is minimised, given velocities, and equilibrated for ``--equilibrate``.
     """
@@ -83,7 +83,7 @@ def step_of(
 
 
 def candidates(args: argparse.Namespace) -> Sequence[str] | None:
-    """Return the schemes to try; None for the default. Thermostats allow no processed schemes."""
+    """Return the names of the schemes to try, or None for the default; thermostats exclude processed schemes."""
     if args.scheme is not None:
         return [args.scheme]
     if args.ensemble == "nve":
@@ -108,7 +108,7 @@ def _equilibrated(
     else:
         simulation.context.setPositions(box.positions)
     if not box.moves:
-        flexible = len(integrator.bodyState()[0].clusters) > 0  # which OpenMM's minimiser takes
+        flexible = len(integrator.bodyState()[0].clusters) > 0  # OpenMM's minimiser handles these
         if flexible and (why := why_not_by_default(platform.getName())):
             warn(f"{why}: use --platform CPU if this run ends without a message")
         minimise(integrator)

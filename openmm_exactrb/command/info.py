@@ -20,22 +20,22 @@ from openmm_exactrb.schemes import CATALOGUE, scheme_for_thermostat
 from openmm_exactrb.states import read_xml
 from openmm_exactrb.support.version import version
 
-#: The purpose, in one sentence.
+#: The purpose of the subcommand, in one sentence.
 PURPOSE = "Print how the molecules of a file move, a step for them and what is not supported, or what is installed."
 
 _INTEGRATORS = [name for name in openmm_exactrb.__all__ if name.endswith("Integrator")]
-# The documentation says what for: "Which integrator, scheme and step".
+# Their uses are on the page "Which integrator, scheme and step" of the documentation.
 _RECOMMENDED = ("W2_1", "W4_4", "W2_3m")
 _LIBRARIES = ("numpy", "scipy", "numba", "matplotlib")
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the files and the options of their forces."""
+    """Add the command-line arguments for files and for the forces on their molecules."""
     inputs.add_options(parser)
 
 
 def carry_out(args: argparse.Namespace) -> int:
-    """Print the lines; return the exit status 0."""
+    """Print the description of the files or of the installation; return the exit status 0."""
     if not args.files and not args.solvate:
         print("\n".join(_lines()))
         return 0

@@ -23,29 +23,29 @@ from openmm_exactrb.systems.masses import heavy_hydrogens
 
 #: Water models of `openmm.app.Modeller.addSolvent` and `openmm_exactrb.rigid_water`.
 WATERS = ("tip3p", "spce", "tip4pew", "tip5p")
-#: Constraints of ForceField.createSystem in addition to rigid water.
+#: Constraints of ForceField.createSystem in addition to those of rigid water.
 CONSTRAINTS = {"none": None, "HBonds": app.HBonds, "AllBonds": app.AllBonds, "HAngles": app.HAngles}
 
-#: What describes molecules, in words.
+#: The files that can describe molecules, as text for messages.
 FILES = (
     "one file (PDB .pdb or PDBx .cif), or two (system.xml and state.xml, a prmtop and an inpcrd, or a top and a gro)"
 )
 
-#: Defaults of options that only some files have.
+#: Defaults of options that apply only to some files.
 DEFAULTS: dict[str, Any] = {"cutoff": 0.9, "ewald_tolerance": 1e-5, "constraints": "none"}
 
 _READERS = dict.fromkeys((".pdb", ".ent"), app.PDBFile) | dict.fromkeys((".cif", ".pdbx", ".mmcif"), app.PDBxFile)
-# Positions, in addition to a topology: the readers of both, and what returns the box.
+# Files of positions, which need a topology: readers of positions and of the topology, and a function for the box.
 _AMBER = app.AmberInpcrdFile, app.AmberPrmtopFile, attrgetter("boxVectors")
 _GROMACS = app.GromacsGroFile, app.GromacsTopFile, methodcaller("getPeriodicBoxVectors")
 _POSITIONS: dict[str, tuple[Any, Any, Callable[[Any], Any]]]
 _POSITIONS = {".gro": _GROMACS, ".inpcrd": _AMBER, ".rst7": _AMBER, ".crd": _AMBER}
-_SWITCH = 0.1 * unit.nanometer  # width in which forces go to zero: a jump at the cutoff would heat
+_SWITCH = 0.1 * unit.nanometer  # width of the switch: a jump of the force at the cutoff would heat
 
 
 @dataclass(frozen=True)
 class Box:
-    """The molecules of a run, with a State if the start was read from one."""
+    """The molecules of a run, and the State from which the start was read, if any."""
 
     topology: app.Topology
     system: openmm.System
@@ -54,14 +54,14 @@ class Box:
 
     @property
     def moves(self) -> bool:
-        """Whether the start has velocities."""
+        """Whether the start has nonzero velocities."""
         if self.state is None or not self.state.getDataTypes() & openmm.State.Velocities:
             return False
         return bool(np.any(self.state.getVelocities(asNumpy=True)._value))
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the files and the options of molecules, with None for those that are not given."""
+    """Add the command-line arguments for files and molecules, which are None if they are not given."""
     positive, shown = arguments.positive, {name: f"({of})" for name, of in DEFAULTS.items()}
     add = parser.add_argument_group("molecules").add_argument
     files = "PDB or PDBx; system.xml and state.xml of OpenMM; prmtop and inpcrd of Amber; top and gro of GROMACS"
@@ -78,13 +78,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def with_defaults(args: argparse.Namespace, others: Mapping[str, Any] | None = None) -> argparse.Namespace:
-    """Return the options, with defaults for those that were not given: options of molecules, and others."""
+    """Return the options, with the defaults of molecules and of `others` for options that were not given."""
     named = {name: value for name, value in vars(args).items() if value is not None}
     return argparse.Namespace(**vars(args) | {"seed": 1} | DEFAULTS | dict(others or {}) | named)
 
 
 def check_idle(args: argparse.Namespace, box: Box, others: Iterable[tuple[bool, str, str]] = ()) -> None:
-    """Raise ValueError if an option was given that has no effect: of molecules, or one of `others` with its reason."""
+    """Raise ValueError if a given option has no effect; `others` are further conditions, options and reasons."""
     unboxed = box.topology.getPeriodicBoxVectors() is None
     idle = [
         (box.state is not None, "constraints cutoff ewald_tolerance water", "a System has its forces and constraints"),
@@ -99,7 +99,7 @@ def check_idle(args: argparse.Namespace, box: Box, others: Iterable[tuple[bool, 
 
 
 def load(args: argparse.Namespace) -> Box:
-    """Return the molecules that the options of ``exactrb run`` describe; raise ValueError if they do not fit."""
+    """Return the molecules that the options of ``exactrb run`` describe; raise ValueError if they are inconsistent."""
     if not args.files and not args.solvate:
         raise ValueError(
             f"exactrb {args.command} needs molecules: give {FILES}, or --solvate 216 for a box of 216 water molecules"
@@ -145,7 +145,7 @@ def _serialised(args: argparse.Namespace) -> Box:
 
 
 def _with_topology(args: argparse.Namespace, topology: Path, places: Path) -> Box:
-    """Return the molecules of a topology of Amber or GROMACS, which has its forces."""
+    """Return the molecules of a topology of Amber or GROMACS, which also contains the forces."""
     if args.forcefield or args.solvate:
         raise ValueError(f"--forcefield and --solvate need a PDB or PDBx file: {topology} already contains forces")
     read_start, read_topology, box_of = _POSITIONS[places.suffix.lower()]
@@ -162,7 +162,7 @@ def _with_topology(args: argparse.Namespace, topology: Path, places: Path) -> Bo
 
 
 def _read(args: argparse.Namespace, force_field: app.ForceField) -> app.Modeller:
-    """Return the molecules in the file, with water around them if requested."""
+    """Return the molecules in the file, surrounded by water if requested."""
     (file,) = args.files
     reader = _READERS[file.suffix.lower()]
     if reader is app.PDBFile and "\nEND" not in file.read_text(encoding="utf-8", errors="replace"):
@@ -176,7 +176,7 @@ def _read(args: argparse.Namespace, force_field: app.ForceField) -> app.Modeller
 
 
 def _water_box(args: argparse.Namespace) -> app.Modeller:
-    """Return water alone, without extra particles: the force field adds its own."""
+    """Return a box of water without extra particles, which the force field adds."""
     topology, _, positions = rigid_water(args.solvate, args.seed, model=_water(args), nonbondedMethod=app.PME)
     modeller = app.Modeller(topology, positions)
     modeller.delete([atom for atom in topology.atoms() if atom.element is None])
@@ -224,7 +224,7 @@ def _system(
 
 
 def _understood(what: str, function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
-    """Call a function of openmm.app; turn any exception about a user's file into a ValueError."""
+    """Call a function of openmm.app, and turn its exceptions other than OSError into ValueError."""
     try:
         return function(*arguments, **options)
     except OSError:
@@ -234,7 +234,7 @@ def _understood(what: str, function: Callable[..., Any], *arguments: Any, **opti
 
 
 def begin_at(simulation: app.Simulation, state: openmm.State) -> None:
-    """Load a State, except for the pressure and temperature of the barostat of its run."""
+    """Load a State, but keep the pressure and temperature of the barostat of the Simulation."""
     loadState(simulation, state)
     for force in simulation.system.getForces():
         if isinstance(force, openmm.MonteCarloBarostat):
@@ -244,12 +244,12 @@ def begin_at(simulation: app.Simulation, state: openmm.State) -> None:
 
 
 def topology_of(system: openmm.System, state: openmm.State) -> app.Topology:
-    """Return a topology for a System: a residue per molecule, elements by mass, and the box of the State."""
+    """Return a topology for a System, with a residue per molecule, elements found by mass, and the box of the State."""
     context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
     context.setPositions(state.getPositions())
     molecules = context.getMolecules()
     in_order = [i for molecule in molecules for i in molecule]
-    if in_order != list(range(system.getNumParticles())):  # which a Topology requires
+    if in_order != list(range(system.getNumParticles())):  # a Topology requires this order
         raise ValueError("molecules of the System are interleaved: give their PDB or PDBx file instead")
     topology = app.Topology()
     chain = topology.addChain()

@@ -1,4 +1,4 @@
-"""The command: subcommands, and one-line error messages."""
+"""The command ``exactrb``: its subcommands, and its error messages of one line."""
 
 from __future__ import annotations
 
@@ -15,16 +15,17 @@ import openmm_exactrb
 from openmm_exactrb.command import info, run, tune
 from openmm_exactrb.command.arguments import Parser
 
-# Errors in the files and options of a user.
+# Exceptions caused by a user's files and options.
 _ERRORS = (ValueError, ArithmeticError, OSError, ModuleNotFoundError, openmm.OpenMMException)
-_NOBODY_READS = 141  # the status of what SIGPIPE ends, which Windows does not have
+_NOBODY_READS = 141  # the status of a process that SIGPIPE ends, a signal that Windows does not have
 _COMMANDS = {"run": run, "tune": tune, "info": info}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Execute a command line, by default that of the process, and return its exit status.
 
-    The exit status is 0, 2 with one line on stderr, 130 after Ctrl-C, or 141 if the reader of the output is gone.
+    The exit status is 0, 2 after an error, which is printed as one line on stderr, 130 after Ctrl-C, or 141 if the
+    reader of the output has ended.
     """
     args = _parser().parse_args(arguments)
     with warnings.catch_warnings():
@@ -42,10 +43,10 @@ def _warning_of(command: str) -> Callable[..., None]:
 
 
 def _status(args: argparse.Namespace) -> int:
-    """Execute a command and return its exit status, with one line on stderr for an error."""
+    """Execute a command and return its exit status; print an error as one line on stderr."""
     try:
         return int(_COMMANDS[args.command].carry_out(args))
-    except BrokenPipeError:  # who reads the output, such as head, has seen enough
+    except BrokenPipeError:  # the program that reads the output, such as head, has ended
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return _NOBODY_READS
     except _ERRORS as error:
@@ -53,15 +54,15 @@ def _status(args: argparse.Namespace) -> int:
         return 2
     except (KeyboardInterrupt, SystemError) as error:
         if isinstance(error, SystemError) and not isinstance(error.__cause__, KeyboardInterrupt):
-            raise  # else Ctrl-C came in a call of OpenMM, whose wrapper makes this of it
+            raise  # otherwise OpenMM's wrapper has made it of the KeyboardInterrupt of Ctrl-C
         again = "; to resume it, repeat the command with --resume" if args.command == "run" else ""
-        begin = "\n" if sys.stderr.isatty() else ""  # after ^C, or a progress bar
+        begin = "\n" if sys.stderr.isatty() else ""  # ends the line of ^C, or of a progress bar
         print(f"{begin}exactrb {args.command}: SIGINT: stopped{again}", file=sys.stderr)
         return 128 + signal.SIGINT
 
 
 def _told(error: Exception) -> str:
-    """Return the message of an error in one line, without the number of an OSError."""
+    """Return the message of an error as one line, without the error number of an OSError."""
     if isinstance(error, FileNotFoundError) and error.filename:
         return f"there is no file {error.filename}"
     if isinstance(error, OSError) and error.filename and error.strerror:

@@ -1,4 +1,4 @@
-"""The subcommand ``exactrb run``: a trajectory of a user's own system."""
+"""The subcommand ``exactrb run``, which simulates a user's system."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from openmm_exactrb.schemes import scheme as look_up
 from openmm_exactrb.thermostats import Langevin
 from openmm_exactrb.tuning.advice import BUDGET, CANDIDATES
 
-#: The purpose, in one sentence.
+#: The purpose of the subcommand, in one sentence.
 PURPOSE = "Run a simulation: trajectory, energies and a picture in a folder; --resume continues it after any accident."
 
 _TRAJECTORIES = {"dcd": app.DCDReporter, "xtc": app.XTCReporter}
-# Options that may differ when a run is resumed: files and force field are identified by the System that they make.
+# Options that may differ when a run is resumed: files and force field are compared by the System that they define.
 _FREE = ("command", "duration", "files", "forcefield", "picture", "quiet")
-# Options that have no effect on some runs, where they are an error.
+# Defaults of options that have no effect on some runs, and are an error there.
 _DEFAULTS: dict[str, Any] = {
     "temperature": 300.0,
     "friction": 1.0,
@@ -41,7 +41,7 @@ _DEFAULTS: dict[str, Any] = {
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments and options of the command."""
+    """Add the command-line arguments of ``exactrb run``."""
     inputs.add_options(parser)
     times, positive, shown = arguments.time, arguments.positive, {name: f"({of})" for name, of in _DEFAULTS.items()}
     add = parser.add_argument_group("dynamics").add_argument
@@ -104,7 +104,7 @@ def carry_out(args: argparse.Namespace) -> int:
 
 
 def _scheme_of(args: argparse.Namespace) -> Scheme:
-    """Return the scheme of the ensemble; raise ValueError if its name is unknown, or it cannot be tuned."""
+    """Return the scheme, by default that of the ensemble; raise ValueError if it is unknown or cannot be tuned."""
     known, default = (look_up, DEFAULT) if args.ensemble == "nve" else (splitting, Langevin.scheme)
     scheme = known(args.scheme or default)
     if args.step is None and args.force_interval is None and args.scheme in WITH_THERMOSTAT:
@@ -115,7 +115,7 @@ def _scheme_of(args: argparse.Namespace) -> Scheme:
 
 
 def _idle(args: argparse.Namespace, box: inputs.Box) -> list[tuple[bool, str, str]]:
-    """Yield conditions under which options have no effect, the options, and the reason."""
+    """Return conditions, each with the options that have no effect under it and the reason."""
     return [
         (args.ensemble != "npt", "pressure pressure_offset", "only --ensemble npt has one"),
         (args.ensemble == "nve", "friction", "only --ensemble nvt and npt have one"),
@@ -126,7 +126,7 @@ def _idle(args: argparse.Namespace, box: inputs.Box) -> list[tuple[bool, str, st
 
 
 def _simulate(job: Run, args: argparse.Namespace, box: inputs.Box, platform: openmm.Platform) -> None:
-    """Equilibrate, run, and print and draw the results."""
+    """Equilibrate the system, run the simulation, and print and draw the results."""
     start = equilibration.start_of(job, args, box, platform)
     options, step = equilibration.step_of(job, args, box, start, platform)
     setup.pace(box.system, step)
@@ -146,7 +146,7 @@ def _simulate(job: Run, args: argparse.Namespace, box: inputs.Box, platform: ope
 
 
 def _reporters(args: argparse.Namespace) -> dict[str, Callable[..., Any]]:
-    """Return the reporter of each file."""
+    """Return the reporter class of each output file."""
     reporters = {f"trajectory.{args.trajectory}": _TRAJECTORIES[args.trajectory], analysis.ENERGIES: EnergyReporter}
     if args.ensemble == "npt":
         reporters[analysis.VOLUME] = partial(app.StateDataReporter, step=True, time=True, volume=True, density=True)
@@ -155,7 +155,7 @@ def _reporters(args: argparse.Namespace) -> dict[str, Callable[..., Any]]:
 
 @contextmanager
 def _progress_bar(name: str, steps: int, quiet: bool) -> Iterator[Callable[[int], object]]:
-    """Yield a function that counts steps in a progress bar on stderr, if tqdm is installed."""
+    """Yield a function that counts steps in a progress bar on stderr; without tqdm it does nothing."""
     try:
         from tqdm import tqdm
     except ModuleNotFoundError:

@@ -16,18 +16,18 @@ from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.rotors import ROTORS
 from openmm_exactrb.thermostats import ExactRigidBodyLangevinIntegrator
 
-#: Constant energy, temperature, or temperature and pressure.
+#: Ensembles: constant energy, constant temperature, and constant temperature and pressure.
 ENSEMBLES = ("nve", "nvt", "npt")
-#: Arguments of the integrator that are options of ``exactrb run``: how argparse reads each of them.
+#: Arguments of the integrator that are options of ``exactrb run``, each with its argparse arguments.
 OPTIONS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("rotor", {**arguments.one_of(ROTORS), "default": "exact", "help": "free rotation (%(default)s)"}),
 )
 _REMOVER = "CMMotionRemover"
-_MOVE = 0.05  # ps between two moves of the barostat: OpenMM's 25 steps of 2 fs, whatever the step
+_MOVE = 0.05  # ps between two moves of the barostat at any step: OpenMM's 25 steps of 2 fs
 
 
 def couple(system: openmm.System, args: argparse.Namespace) -> None:
-    """Add the barostat of the ensemble to a System; raise ValueError if the System does not allow one."""
+    """Add the barostat of the ensemble to a System; raise ValueError if the System does not allow a barostat."""
     others = [name for force in system.getForces() if (name := type(force).__name__) in UPDATES and name != _REMOVER]
     if others:
         raise ValueError(f"remove the {', '.join(others)} from the System: --ensemble nvt or npt adds its own")
@@ -50,7 +50,7 @@ def pace(system: openmm.System, step: float) -> None:
 def correct_pressure(
     system: openmm.System, file: str | None, integrator: ExactRigidBodyIntegrator, temperature: float
 ) -> None:
-    """Add the offset of a file to the pressure of the barostat; raise ValueError if its settings differ."""
+    """Add the offset in a file to the pressure of the barostat; raise ValueError if the file is for other settings."""
     if file is None:
         return
     offset = pressure_offset(file)

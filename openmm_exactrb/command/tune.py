@@ -1,4 +1,4 @@
-"""The subcommand ``exactrb tune``: `openmm_exactrb.tune` for files."""
+"""The subcommand ``exactrb tune``, which applies `openmm_exactrb.tune` to files."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from openmm_exactrb.command import arguments, inputs
 from openmm_exactrb.openmm_access.platforms import platform_of
 from openmm_exactrb.tuning.advice import BUDGET, CANDIDATES, progress, tune
 
-#: The purpose, in one sentence.
+#: The purpose of the subcommand, in one sentence.
 PURPOSE = "Find the cheapest scheme and step for a given energy error."
 
 _TEMPERATURE = 300.0
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the files of ``exactrb run``, and the arguments of ``tune``."""
+    """Add the command-line arguments for molecules and for tuning."""
     inputs.add_options(parser)
     positive, time = arguments.positive, arguments.time
     add = parser.add_argument_group("tuning").add_argument
@@ -36,7 +36,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def carry_out(args: argparse.Namespace) -> int:
-    """Tune for the molecules of files and print the result; return 1 if the target is not reached, otherwise 0."""
+    """Tune for the given molecules and print the result; return 1 if the target is not reached, otherwise 0."""
     platform = platform_of(args.platform)
     box = inputs.load(inputs.with_defaults(args))
     inputs.check_idle(args, box)

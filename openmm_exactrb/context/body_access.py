@@ -22,7 +22,7 @@ from openmm_exactrb.mechanics.state import BodyState, State
 from openmm_exactrb.openmm_access.units import FORCE, gas_constant_times, plain
 from openmm_exactrb.support import checks
 
-#: Of translation and of rotation.
+#: The temperatures of translation and of rotation.
 Temperatures = tuple[unit.Quantity, unit.Quantity]
 
 
@@ -37,7 +37,7 @@ class BodyAccess:
 
     @abstractmethod
     def getNamedBodies(self) -> list[list[int]] | None:
-        """Return the particles of the bodies that the user named."""
+        """Return the particles of the bodies named by hand, or None."""
 
     @abstractmethod
     def _up_to_date(self) -> Any:
@@ -50,11 +50,12 @@ class BodyAccess:
         return translational * unit.kilojoule_per_mole, rotational * unit.kilojoule_per_mole
 
     def totalEnergy(self) -> unit.Quantity:
-        """Return the total energy, in kJ/mol: kinetic, and potential of the integration force groups.
+        """Return the kinetic energy plus the potential energy of the integration force groups, in kJ/mol.
 
-        The kinetic energy is that of the bodies in float64, even if the platform rounds velocities. With a scheme whose
-        steps end with a drift after a heat exchange, such as the default with a thermostat, the sum has its canonical
-        mean but fluctuates in proportion to the step size; monitor ``effectiveEnergy`` instead.
+        The kinetic energy is computed from the bodies in float64, even if the platform rounds velocities. With a scheme
+        whose steps end with a drift after a heat exchange, such as the default with a thermostat, the total energy has
+        its canonical mean, but additional fluctuations in proportion to the step size; monitor ``effectiveEnergy``
+        instead.
         """
         context = self._up_to_date().sync.context
         state = context.getState(energy=True, groups=self.getIntegrationForceGroups())
@@ -64,7 +65,7 @@ class BodyAccess:
         """Return the numbers of translational and of rotational degrees of freedom.
 
         A linear body has two rotational degrees of freedom, and a particle has zero. With a CMMotionRemover, three
-        translational degrees of freedom are subtracted, whatever its interval: temperatures describe the motion
+        translational degrees of freedom are subtracted, whatever its interval, because temperatures describe the motion
         relative to the centre of mass.
         """
         return freedom_of(self._up_to_date())
@@ -81,7 +82,8 @@ class BodyAccess:
         Parameters
         ----------
         groups : dict of str to sequences of int, optional
-            Particles of each group, which consists of whole bodies and clusters, such as domains, linkers and solvent.
+            Particles of each group, such as domains, linkers and solvent. A group must consist of whole bodies and
+            clusters.
 
         Returns
         -------
@@ -104,18 +106,18 @@ class BodyAccess:
         """Return the temperature of all degrees of freedom of the bodies, in K; nan if there are none.
 
         It is the mean of `temperatures`, weighted by `degreesOfFreedom`. OpenMM's reporters call this method instead of
-        counting the constraints of the System, which gives wrong degrees of freedom with redundant constraints and
-        bodies named by hand.
+        counting the constraints of the System, because that count is wrong for redundant constraints and for bodies
+        named by hand.
         """
         propagator = self._up_to_date()
         return _temperature(sum(thermal_energies(propagator, propagator.sync.state)), sum(freedom_of(propagator)))
 
     def setVelocitiesToTemperature(self, temperature: float | unit.Quantity, randomSeed: int | None = None) -> None:
-        """Draw the momenta of the bodies from the canonical distribution.
+        """Draw the momenta of the bodies from the canonical distribution at a temperature.
 
-        The distribution is correct for linear bodies, redundant constraints and bodies without constraints. With a
-        CMMotionRemover the total momentum is 0. ``Context.setVelocitiesToTemperature`` calls this method if OpenMM's
-        constraint solver does not converge or bodies are named by hand.
+        The distribution is also correct for linear bodies, for redundant constraints and for bodies without
+        constraints. With a CMMotionRemover the total momentum is 0. ``Context.setVelocitiesToTemperature`` calls this
+        method if OpenMM's constraint solver does not converge or bodies are named by hand.
 
         Parameters
         ----------
@@ -136,8 +138,8 @@ class BodyAccess:
     def minimizeEnergy(self, tolerance: float | unit.Quantity = 10.0, maxIterations: int = 0) -> None:
         """Minimise the potential energy.
 
-        Bodies stay rigid, including those named by hand; ``simulation.minimizeEnergy`` calls this method if there are
-        such bodies or redundant constraints. Molecules that are constrained but not rigid are minimised by OpenMM.
+        Bodies stay rigid, including those named by hand; ``simulation.minimizeEnergy`` calls this method if bodies are
+        named by hand or constraints are redundant. OpenMM minimises molecules that are constrained but not rigid.
 
         Parameters
         ----------
@@ -145,7 +147,7 @@ class BodyAccess:
             Largest component of a force at the minimum, in kJ/mol/nm if it has no unit; for OpenMM's minimiser, the
             root mean square of all components.
         maxIterations : int, optional
-            0 for no limit.
+            Largest number of iterations; 0 for no limit.
 
         Raises
         ------
@@ -196,7 +198,7 @@ class BodyAccess:
         return sync.bodies, BodyState(*(a.copy() for a in sync.bodies.tangent(sync.state.rounded)))
 
     def fullState(self) -> tuple[RigidBodies, State]:
-        """Return the bodies and their state as sums high + low of `openmm_exactrb.mathematics.compensated`."""
+        """Return the bodies and a copy of their state as sums high + low (`openmm_exactrb.mathematics.compensated`)."""
         sync = self._up_to_date().sync
         return sync.bodies, State(*(a.copy() for a in sync.state))
 

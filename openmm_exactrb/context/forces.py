@@ -35,7 +35,7 @@ class EvaluatedForces(ABC):
         return self._value
 
     def at(self, state: State) -> Force:
-        """Return the result at the positions of any state."""
+        """Return the forces and torques at the positions of any state."""
         return self._evaluated(state, present=False)
 
     @abstractmethod
@@ -44,15 +44,15 @@ class EvaluatedForces(ABC):
 
     @abstractmethod
     def with_energies(self) -> None:
-        """Evaluate the potential energy together with each force, because it will be needed."""
+        """Evaluate the potential energy together with the forces from now on."""
 
     @abstractmethod
     def _evaluated(self, state: State, present: bool) -> Force:
-        """Return the forces at the present positions, or those of any state."""
+        """Return the forces and torques at the present positions, or at the positions of any state."""
 
 
 class ContextForces(EvaluatedForces):
-    """The forces of given force groups (bits); `counter` names the counter of evaluations in the timings."""
+    """The forces of given force groups (bits); `counter` is the attribute of the timings that counts evaluations."""
 
     def __init__(self, positions: Positions, groups: int, timings: Timings, counter: str = "evaluations") -> None:
         super().__init__(positions)
@@ -67,11 +67,11 @@ class ContextForces(EvaluatedForces):
         return self._potential_energy(self.positions.write, state)
 
     def energy_at(self, state: State) -> float:
-        """Return the result at the positions of any state."""
+        """Return the potential energy (kJ/mol) of these groups at the positions of any state."""
         return self._potential_energy(self.positions.show, state)
 
     def with_energies(self) -> None:
-        """Evaluate the potential energy together with each force."""
+        """Evaluate the potential energy together with the forces from now on."""
         self._energies = True
 
     def landscape(self, state: BodyState) -> tuple[float, Array, Array]:
@@ -81,7 +81,7 @@ class ContextForces(EvaluatedForces):
         return float(found.getPotentialEnergy()._value), *self.positions.bodies.forces(state, arrays.forces(found))
 
     def of(self, groups: int, counter: str = "evaluations") -> ContextForces:
-        """Return the forces of those groups that are also in another set (bits)."""
+        """Return the forces of the groups that are also in `groups` (bits)."""
         return ContextForces(self.positions, self.groups & groups, self._timings, counter)
 
     def _potential_energy(self, place: Callable[[State], None], state: State) -> float:
@@ -114,7 +114,7 @@ class ContextForces(EvaluatedForces):
 
 
 class SlowGroups(ContextForces):
-    """The forces of given groups without the fast ones, which are integrated within the drifts."""
+    """The forces of given groups without the fast forces, which are integrated within the drifts."""
 
     def __init__(self, forces: ContextForces, fast: ContextForces, timings: Timings) -> None:
         super().__init__(forces.positions, forces.groups & ~fast.groups, timings)
@@ -126,9 +126,9 @@ class SlowGroups(ContextForces):
 
 
 class Remainder(EvaluatedForces):
-    """All forces minus the fast forces on selected bodies, which have their own Context.
+    """All forces minus the fast forces on selected bodies, which are evaluated in a separate Context.
 
-    The sum of both equals all forces for any choice of fast forces, so the System is not modified.
+    For any choice of fast forces, the remainder and the fast forces add up to all forces. The System is not modified.
     """
 
     def __init__(self, forces: ContextForces, fast: ContextForces, part: Part) -> None:
@@ -140,7 +140,7 @@ class Remainder(EvaluatedForces):
         return self._forces.energy(state)
 
     def with_energies(self) -> None:
-        """Evaluate the potential energy together with each force."""
+        """Evaluate the potential energy together with the forces from now on."""
         self._forces.with_energies()
 
     def _evaluated(self, state: State, present: bool) -> Force:

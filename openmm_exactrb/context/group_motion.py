@@ -23,7 +23,7 @@ class Motion(NamedTuple):
 def of_groups(
     bodies: RigidBodies, state: State, groups: Mapping[str, Iterable[int]], removes_motion: bool
 ) -> dict[str, Motion]:
-    """Return the motion of groups of particles, each of whole bodies and clusters.
+    """Return the motion of groups of particles, which must consist of whole bodies and clusters.
 
     If the centre of mass of the System is kept at rest, the motion is relative to it, and each group loses three
     degrees of freedom times its fraction of the mass. Raise ValueError if a group contains only part of a body or
@@ -49,7 +49,7 @@ def _chosen(bodies: RigidBodies, name: str, particles: list[int]) -> NDArray[np.
             f"group {name!r} contains particle {beyond[0]}, but the System has {bodies.n_particles} particles"
         )
     chosen, owner = bodies.touched(np.array(particles, dtype=np.intp)), bodies.owner
-    left_out = np.append(chosen, False)[owner]  # the last is that of no body
+    left_out = np.append(chosen, False)[owner]  # the last entry is for particles of no body
     left_out[particles] = False
     if left_out.any():
         raise ValueError(

@@ -10,17 +10,17 @@ import openmm
 from openmm_exactrb.context.solver import solvable
 from openmm_exactrb.openmm_access import arrays
 
-#: The method of OpenMM.
+#: OpenMM's own method, which is replaced.
 OPENMM = openmm.LocalEnergyMinimizer.minimize
 
 
 def minimise_by_integrators(kind: type[Any]) -> None:
-    """Let integrators of a class minimise the energy, by ``minimizeEnergy``, where OpenMM's minimiser cannot.
+    """Let integrators of a class minimise the energy with ``minimizeEnergy`` where OpenMM's minimiser fails.
 
     OpenMM's minimiser would deform bodies named by hand, and the first step would use the deformed shape. With
-    redundant constraints it returns NaN or crashes, and it drags the parts of molecules that the box has split
-    together. The minimiser's method is replaced because ``Simulation.minimizeEnergy`` calls it before the integrator
-    knows its Context.
+    redundant constraints it returns NaN or crashes, and it pulls together the parts of molecules that the box has
+    split. The method of OpenMM's minimiser is replaced because ``Simulation.minimizeEnergy`` calls it before the
+    integrator knows its Context.
     """
 
     @functools.wraps(OPENMM)

@@ -9,17 +9,17 @@ from numpy.typing import NDArray
 from openmm_exactrb.openmm_access import parameters
 from openmm_exactrb.support.types import Array
 
-# A constraint that is missed by this part of its length is one that the box has split.
+# A distance that differs from its constraint by more than this fraction of the length belongs to a split molecule.
 _SPLIT = 0.5
-# The least pivot of independent constraints, whose directions are unit vectors.
+# Smallest pivot of independent constraints, whose directions are unit vectors.
 _DEPENDENT = 1e-6
 
 
 def solvable(system: openmm.System, x: Array) -> bool:
     """Return whether OpenMM's solver handles the constraints of a System at positions (n_particles, 3).
 
-    The solver fails if the box has split molecules, because it computes distances without images. With redundant
-    constraints it may diverge, or leave motions that satisfy the constraints to first order but deform a rigid body.
+    The solver fails if the box has split molecules, because it does not use nearest images. With redundant constraints
+    it may diverge, or leave motions that satisfy the constraints to first order but deform a rigid body.
     """
     pairs, lengths = parameters.constraints(system)
     if not len(pairs):
@@ -31,8 +31,8 @@ def solvable(system: openmm.System, x: Array) -> bool:
 
 
 def _independent(directions: Array, pairs: NDArray[np.intp], n_particles: int) -> bool:
-    """Return whether the velocities along the constraints (m, 3) are linearly independent."""
-    from scipy.sparse import csr_array  # here, for a short import of the package
+    """Return whether constraints with these directions (m, 3) are linearly independent."""
+    from scipy.sparse import csr_array  # imported here, because it is slow to import
     from scipy.sparse.linalg import splu
 
     columns = (3 * pairs[:, :, None] + np.arange(3)).reshape(len(pairs), 6)

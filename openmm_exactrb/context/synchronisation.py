@@ -1,4 +1,4 @@
-"""Synchronisation of the bodies with their Context: it pulls a user's changes, and pushes the results of steps."""
+"""Synchronisation of bodies with their Context: a user's changes are pulled, and the results of steps are pushed."""
 
 from __future__ import annotations
 
@@ -20,23 +20,25 @@ from openmm_exactrb.mechanics.state import Remembered, State
 from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.support.types import Array, Indices
 
-# Positions (nm) and velocities (nm/ps) of a state that was saved are its own if they differ by less than this, and by
-# less than this part of them: it continues in full precision, though mixed precision has rounded them.
+# A saved state continues in full precision if the positions (nm) and velocities (nm/ps) of the Context differ from its
+# own by at most _SAME plus _SAME_PART times the value, since mixed precision has rounded them.
 _SAME, _SAME_PART = 1e-13, 3e-14
-# Particles (nm) that are farther from where rigid bodies have them are put there in the Context too.
+# Particles farther than this (nm) from their positions in rigid bodies are moved to these positions in the Context too.
 _RIGID = 1e-9
-# A change of centres (nm), orientations, velocities (nm/ps) and angular velocities (1/ps) is small for an inner state.
+# Changes of centres (nm), orientations, velocities (nm/ps) and angular velocities (1/ps) up to this keep an inner
+# state.
 _SMALL = 1e-8
-# In a periodic box OpenMM's Reference platform loses pairs of particles that are below 0 (nm) by a rounding of the box.
+# In a periodic box OpenMM's Reference platform misses pairs of particles with coordinates (nm) that roundoff makes
+# negative.
 _LOST = 1e-14
 
 
 class Positions:
     """The positions of bodies in a Context, which only this object writes, and their version.
 
-    It does not keep the Context alive. Every change of positions, box or parameters increases `version`, so that
-    results of earlier versions are recomputed. In the positions x (n_particles, 3) of all particles, those of the
-    bodies are overwritten.
+    The object does not keep the Context alive. Every change of positions, box or parameters increases `version`, so
+    that results of earlier versions are recomputed. The array x (n_particles, 3) contains the positions of all
+    particles; those of particles in bodies are overwritten.
     """
 
     def __init__(self, context: Any, bodies: RigidBodies, x: Array) -> None:
@@ -52,7 +54,7 @@ class Positions:
         return self._context()
 
     def write(self, state: State) -> None:
-        """Write the present positions, those of the state, into the Context."""
+        """Write the present positions, given by the state, into the Context unless they are there already."""
         version = self.version
         if self._written != version:
             self.show(state)
@@ -68,11 +70,11 @@ class Positions:
         context.computeVirtualSites()
 
     def placed(self, state: State) -> Array:
-        """Return the positions of all particles, with the bodies at those of any state; virtual sites are not moved."""
+        """Return the positions (n_particles, 3) for any state of the bodies; virtual sites are not moved."""
         return self.bodies.positions(state.rounded, self.particles)
 
     def moved(self) -> None:
-        """Record that the particles of the Context were moved elsewhere."""
+        """Record a change of positions, box or parameters that this object did not make."""
         self.version += 1
         self._written = -1
 
@@ -80,10 +82,10 @@ class Positions:
 class Synchronisation:
     """The bodies of a Context and their state.
 
-    The object holds no strong reference to the Context and its integrator, which own it. The variables of the
-    integrator carry the full state in checkpoints and States. A ValueError is raised if there are no positions, nothing
-    can move, or bodies are not supported or do not match the positions. `pairs` is an argument of `find_bodies`;
-    `bodies` is its result, if known.
+    The object holds only weak references to the Context and the integrator, which own it. The variables of the
+    integrator carry the full state in checkpoints and States. A ValueError is raised if there are no positions, no
+    particle can move, or bodies are not supported or do not match the positions. The argument `pairs` is passed to
+    `find_bodies`; `bodies` is the result of this function, if known.
 
     Attributes
     ----------
@@ -93,9 +95,9 @@ class Synchronisation:
     inner : State or None
         The state in the inner coordinates of a processed scheme, from which its steps continue.
     memory : Remembered
-        The forces of the last kicks in these coordinates.
+        The forces of the last kicks, in the inner coordinates.
     particles : (n_particles, 3) array
-        Positions of all particles (nm), to be overwritten with those of the bodies.
+        Positions of all particles (nm), of which those of particles in bodies are overwritten.
     positions : Positions
         The writer of the positions into the Context.
     """
@@ -115,15 +117,15 @@ class Synchronisation:
         require_positions(context)
         self.bodies = bodies or find_bodies(context.getSystem(), x, named, self.box(), pairs)
         self._shapes = Shapes(self.bodies)
-        self.particles, self._v = x.copy(), v.copy()  # what is written to OpenMM
+        self.particles, self._v = x.copy(), v.copy()  # arrays that are written to OpenMM
         self.positions = Positions(context, self.bodies, self.particles)
-        self._seen: tuple[Array, Array] | None = None  # what the Context held when `state` was last in it
+        self._seen: tuple[Array, Array] | None = None  # values in the Context when it last held `state`
         self.state: State
         self.inner: State | None = None
         self._coordinates = 0.0  # of the inner state
         self.memory: Remembered = ([], [])
         self._outdated = self._written = False
-        #: Called when a user has set a State or a step count, or restarted without a seed.
+        #: Called when a user has set a State or a step count, or has reinitialised the Context without a seed.
         self.new_trajectory: Callable[[], None] = lambda: None
         _watch(context, "reinitialize", self._write, self._outlive)
         for name in ("setState", "setStepCount"):
@@ -133,7 +135,7 @@ class Synchronisation:
 
     @property
     def context(self) -> Any:
-        """The Context, or None when it is gone."""
+        """The Context, or None if it no longer exists."""
         return self._context()
 
     @property
@@ -149,14 +151,15 @@ class Synchronisation:
             self.new_trajectory()
 
     def pull(self) -> bool:
-        """Update the state with changes to the Context since the last push; return whether it changed.
+        """Update the state with changes to the Context since the last push; return whether the state changed.
 
-        Positions that were not quite rigid, or split by the periodic box, are also corrected in the Context.
+        Positions that deviate from rigid bodies by more than 1e-9 nm, or that the periodic box has split, are also
+        corrected in the Context.
 
         Raises
         ------
         ValueError
-            If the Context's values are not finite, or the molecules not rigid. The state is then unchanged.
+            If values in the Context are not finite, or molecules are not rigid. The state is then unchanged.
         """
         x, v = self.held()
         saved, seen = self.saved(x, v), self._seen
@@ -175,7 +178,7 @@ class Synchronisation:
             self._follow(self.state, state)
         self.state = state
         self.positions.moved()
-        self.particles[:], self._v[:] = x, v  # particles without mass that are no virtual sites stay where they are
+        self.particles[:], self._v[:] = x, v  # massless particles other than virtual sites do not move
         self._seen = (x, v)
         if len(_differs(self.bodies, x, self.bodies.positions(self.state.rounded, self.particles), self._rigid)):
             self.push()
@@ -187,45 +190,45 @@ class Synchronisation:
         return x if box is None else self._shapes.whole(x, box)
 
     def box(self) -> Array | None:
-        """Return the vectors (3, 3) of the periodic box in nm, or None without one."""
+        """Return the vectors (3, 3) of the periodic box in nm, or None without a box."""
         return arrays.periodic_box(self.context)
 
     def compared(self, known: State, x: Array, v: Array) -> State:
-        """Return a known state, refitting bodies whose particles are not at its positions."""
+        """Return a known state, with bodies refitted if their particles have other positions or velocities."""
         bodies, rounded = self.bodies, known.rounded
         moved = _differs(bodies, x, bodies.positions(rounded, x.copy()), *self._same)
         pushed = _differs(bodies, v, bodies.velocities(rounded, v.copy()), *self._same)
         return self._refitted(known, x, v, moved, pushed)
 
     def _refitted(self, known: State, x: Array, v: Array, moved: Indices, pushed: Indices) -> State:
-        """Return a known state, refitting bodies that were moved or whose velocities changed."""
+        """Return a known state, with bodies refitted that were moved or whose velocities changed."""
         if not len(moved) and not len(pushed):
             return known
         return known.renewed(refit(self.bodies, known.rounded, x, v, moved, pushed))
 
     def _follow(self, before: State, after: State) -> None:
-        """Apply a user's change to the inner state too: a change below the errors of the output is added to both.
+        """Apply a user's change to the inner state too, by adding it if it is below the errors of the output.
 
-        After a larger change the processor recomputes the inner state from the true one.
+        After a larger change the processor recomputes the inner state from the true state.
         """
         if self.inner is None or after is before:
             return
         changes = [(new - old).sum(axis=0) for new, old in zip(after, before, strict=True)]
         atoms = np.arange(len(self.bodies.mass))[self.bodies.clustered]
-        atoms = atoms[changes[1][:, atoms].any(axis=0)]  # have lost their momenta along constraints, which is no change
+        atoms = atoms[changes[1][:, atoms].any(axis=0)]  # without momenta along constraints, whose loss is no change
         changes[1][:, atoms] = (after.rounded.P - self.bodies.tangent(before.rounded).P)[:, atoms]
         sizes = (self.bodies.mass, self.bodies.inertia.T)
         small = all(map(_is_small, changes, (1.0, sizes[0], 1.0, sizes[1])))
         self.inner = State(*map(add, self.inner, changes)) if small else None
 
     def push(self) -> None:
-        """Write the state into the Context, including its positions if others have been written since."""
+        """Write the state into the Context; positions are written only if the Context has other positions."""
         self.positions.write(self.state)
         self.write_velocities(self.state)
         self._seen = self.held()
 
     def inner_in(self, coordinates: float) -> State | None:
-        """Return the inner state if its coordinates have this mark."""
+        """Return the inner state if it is in the coordinates with this mark, otherwise None."""
         return self.inner if self._coordinates == coordinates else None
 
     def keep(self, inner: State | None, coordinates: float = 0.0, memory: Remembered = ([], [])) -> None:
@@ -234,22 +237,22 @@ class Synchronisation:
 
     @functools.cached_property
     def _mark(self) -> float:
-        """The first variable of an integrator that holds a state."""
+        """The value of the first variable of an integrator that holds a state."""
         return variables.written(variables.own_numbers(self._integrator()))
 
     def saved(self, x: Array, v: Array) -> State | None:
-        """Return the state that a checkpoint or State contained, if any; x and v are those of the Context."""
+        """Return the state from a loaded checkpoint or State, if any; x and v are positions and velocities."""
         return variables.read(self._integrator(), self.bodies)
 
     def _read_inner(self) -> None:
-        """Read the inner state from the integrator's variables, if there is one."""
+        """Read the inner state from the integrator's variables, if they contain one."""
         integrator = self._integrator()
         coordinates = variables.get(integrator, variables.COORDINATES)
         inner = variables.read(integrator, self.bodies, variables.INNER) if coordinates else None
         self.keep(inner, coordinates, ([], []) if inner is None else variables.read_forces(integrator, self.bodies))
 
     def _write(self) -> None:
-        """Write the state to the integrator's variables, unless they hold one that was loaded and not yet pulled."""
+        """Write the state to the integrator's variables, unless they hold a loaded state that was not yet pulled."""
         integrator = self._integrator()
         self._written = self._seen is not None and not variables.marked(integrator)
         if not self._written:
@@ -262,7 +265,7 @@ class Synchronisation:
         variables.mark(integrator, self._mark)
 
     def _unmark(self) -> None:
-        """Remove the mark, so that variables with a mark are known to have been loaded."""
+        """Remove the mark, so that only variables that were loaded have a mark."""
         variables.mark(self._integrator(), variables.NOTHING)
 
     def _withdraw(self) -> None:
@@ -289,7 +292,10 @@ class Synchronisation:
 
 
 def require_positions(context: openmm.Context) -> None:
-    """Raise ValueError if positions were never set: OpenMM checks this when forces are requested, here of no group."""
+    """Raise ValueError if positions were never set.
+
+    OpenMM checks this when forces are requested, here for no force group.
+    """
     try:
         context.getState(forces=True, groups=0)
     except openmm.OpenMMException as error:
@@ -299,12 +305,12 @@ def require_positions(context: openmm.Context) -> None:
 
 
 def _is_small(change: Array, size: Any) -> bool:
-    """Return whether a change of part of the state is below `_SMALL` relative to a size; inertia may be zero."""
+    """Return whether a change of an array of the state is at most `_SMALL` times a size, such as a mass."""
     return bool((np.abs(change) <= _SMALL * size).all())
 
 
 def _differs(bodies: RigidBodies, actual: Array, expected: Array, same: float = 0.0, part: float = 0.0) -> Indices:
-    """Return the bodies with a particle not at its expected position within tolerances; nan counts as different."""
+    """Return the bodies in which a particle differs from its expected value by more than the tolerances, or is nan."""
     different = np.zeros(len(bodies), dtype=bool)
     for kind in bodies.kinds:
         known = expected[kind.particles]
@@ -329,7 +335,7 @@ def _watch(
     after: Callable[[], None] = _nothing,
     concerns: Callable[..., bool] = lambda *arguments, **options: True,
 ) -> None:
-    """Call a function at relevant calls of a method of the Context, since OpenMM has no callbacks."""
+    """Call functions before and after relevant calls of a method of the Context, since OpenMM has no callbacks."""
     method = getattr(type(context), name)
     reference = weakref.ref(context)
 

@@ -7,21 +7,21 @@ from dataclasses import dataclass
 
 @dataclass
 class Timings:
-    """Wall time in seconds, and evaluations by OpenMM, since the integrator was made or `reset` was called.
+    """Wall times in seconds and numbers of evaluations since the integrator was created or `reset` was called.
 
     Attributes
     ----------
     forces : float
-        Time in OpenMM and in the compiled kernels of bonded forces, for setting positions and for evaluations.
+        Time for setting positions and for evaluations, in OpenMM and in the compiled kernels of bonded forces.
     rotor : float
         Time for the free motion of the bodies, including bonded forces if one compiled call performs the inner steps.
     total : float
         Total time inside step().
     evaluations : int
-        Evaluations by OpenMM, except for nested forces: forces, with or without the energy, and energies alone, which
-        barostats, the Metropolis test and occasionally the divergence check need.
+        Number of evaluations by OpenMM, except for nested forces. An evaluation computes forces, with or without the
+        energy, or only the energy, as for barostats, the Metropolis test and occasionally the divergence check.
     fast_evaluations : int
-        Evaluations of the forces that are nested in the drifts.
+        Number of evaluations of the forces that are nested in the drifts.
     """
 
     forces: float = 0.0

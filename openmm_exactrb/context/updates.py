@@ -24,28 +24,28 @@ BAROSTATS = (
     "MonteCarloFlexibleBarostat",
     "MonteCarloMembraneBarostat",
 )
-_OURS = ("SoftDipoleForce", "GayBernePotential")  # PythonForces of this package, which have an energy
+_OURS = ("SoftDipoleForce", "GayBernePotential")  # names of PythonForces of this package, which have an energy
 _THERMOSTAT, _REMOVER = "AndersenThermostat", "CMMotionRemover"
-#: Forces that change positions or velocities between steps: without them a System conserves its energy.
+#: Forces that change positions or velocities between steps; a System without them conserves its energy.
 UPDATES = (_THERMOSTAT, _REMOVER, *BAROSTATS)
 
 
 class RemovedMotionWarning(UserWarning):
-    """A CMMotionRemover removes momentum transferred by frozen particles, so the energy has errors of order 1."""
+    """A CMMotionRemover removes momentum transferred by frozen particles, which causes energy errors of order 1."""
 
 
 class ContextUpdates:
     """OpenMM's actions between steps in a Context; raises ValueError if a barostat would tear bodies.
 
     A CMMotionRemover acts on velocities alone, and therefore equally on the inner and the true state of a processed
-    scheme. Barostats and thermostats of the System act on the true state, by OpenMM itself.
+    scheme. OpenMM applies barostats and thermostats of the System to the true state.
 
     Attributes
     ----------
     moves, pushes : bool
-        Whether a barostat moves bodies, and a thermostat changes their momenta.
+        Whether a barostat moves bodies, and whether a thermostat changes their momenta.
     temperatures : dict
-        The parameters of the Context that hold their temperatures, and the names of the forces.
+        The names of barostats and thermostats, by the Context parameter that holds their temperature.
     """
 
     def __init__(self, context: openmm.Context, named: Sequence[Sequence[int]]) -> None:
@@ -58,7 +58,7 @@ class ContextUpdates:
         self._barostats = barostats
         self._advance = advancing()
         self._waiting = 0  # steps since OpenMM last acted
-        self._since_trial = [0] * len(barostats)  # updates
+        self._since_trial = [0] * len(barostats)  # updates since the last trial of each barostat
         self.moves, self.pushes = bool(barostats), bool(thermostats)
         self.temperatures = {force.Temperature(): type(force).__name__ for force in acting}
 
@@ -67,7 +67,7 @@ class ContextUpdates:
         return max((gas_constant_times(context.getParameter(name)) for name in self.temperatures), default=0.0)
 
     def check_temperatures(self, context: openmm.Context, temperature: float) -> None:
-        """Raise ValueError for forces with a temperature (K) other than that of the integrator's thermostat."""
+        """Raise ValueError for a second thermostat, or a barostat at another temperature (K) than the integrator."""
         if self.pushes:
             raise ValueError(
                 "the System has an AndersenThermostat, but this integrator has a thermostat of its own: remove it "
@@ -97,25 +97,25 @@ class ContextUpdates:
 
     @property
     def period(self) -> int:
-        """Number of steps between two actions of barostats or thermostats; 0 for never."""
+        """Number of steps between two actions of barostats or thermostats; 0 if they never act."""
         return 1 if self.pushes else math.gcd(*(barostat.getFrequency() for barostat in self._barostats))
 
     @property
     def removal(self) -> int:
-        """Number of steps between two removals of motion; 0 for never."""
+        """Number of steps between two removals of motion; 0 if motion is never removed."""
         return math.gcd(*self._removals)
 
     def remove_motion(self, mass: Array, state: State, number: int) -> State:
-        """Return the state after a given step, with its centre of mass at rest if a removal is due; masses are (N,)."""
+        """Return the state after a given step, with the centre of mass at rest if a removal is due; masses are (N,)."""
         if any(number % interval == 0 for interval in self._removals):
             velocity = state.P.sum(axis=(0, 2)) / mass.sum()
             return state._replace(P=self._advance(state.P, velocity[:, None] * mass, -1.0))
         return state
 
     def due(self) -> int:
-        """Count a step; return the number of OpenMM's updates that are due, of which the last one has an effect.
+        """Count a step, and return the number of OpenMM's updates that are due, of which only the last has an effect.
 
-        A barostat of frequency n acts in every n-th update: the other updates have no effect, and are deferred.
+        A barostat of frequency n acts in every n-th update. The other updates have no effect and are deferred.
         """
         if not (self.moves or self.pushes):
             return 0
@@ -126,7 +126,7 @@ class ContextUpdates:
         return waiting
 
     def trial_energies(self, n: int) -> int:
-        """Return how many energies the barostats evaluate in n updates of OpenMM: two for each trial volume."""
+        """Return the number of energies that barostats evaluate in n updates of OpenMM: two for each trial volume."""
         trials = 0
         for k, barostat in enumerate(self._barostats):
             if period := barostat.getFrequency():
@@ -135,21 +135,21 @@ class ContextUpdates:
         return 2 * trials
 
     def changed(self, sync: Synchronisation, state: State, box: tuple[float, ...]) -> State:
-        """Return a state after an update of its Context; `box` is that before the update."""
+        """Return a state after an update of its Context; `box` is the box before the update."""
         context = sync.context
         if not self.pushes:
             if arrays.box(context.getState()) == box:
                 return state
             sync.write_velocities(state)  # so that only positions differ from those of the state
         x, v = sync.held()
-        sync.particles[:] = x  # a barostat moves what has no mass too
+        sync.particles[:] = x  # a barostat moves massless particles too
         return sync.compared(state, x, v)
 
 
 def conserve_energy(system: openmm.System) -> bool:
     """Return whether the forces of a System are known to conserve its energy.
 
-    A PythonForce from elsewhere may depend on time or have no energy, and a plugin's force, which is a
+    A PythonForce that is not of this package may depend on time or have no energy. A force of a plugin, which is a
     plain Force in Python, may do work.
     """
     return not any(
@@ -159,7 +159,7 @@ def conserve_energy(system: openmm.System) -> bool:
 
 
 def warn_of_removed_motion(system: openmm.System) -> None:
-    """Warn of a CMMotionRemover in a System with frozen particles, which push the centre of mass of the others."""
+    """Warn of a CMMotionRemover in a System whose frozen particles accelerate the centre of mass of the others."""
     massless = (i for i in range(system.getNumParticles()) if not system.getParticleMass(i)._value)
     removes = any(isinstance(force, openmm.CMMotionRemover) for force in system.getForces())
     if removes and not all(map(system.isVirtualSite, massless)):
@@ -171,7 +171,7 @@ def warn_of_removed_motion(system: openmm.System) -> None:
 
 
 def acting_updates(context: openmm.Context) -> list[Any]:
-    """Return the thermostats and barostats of a Context; those added to its System later have no effect."""
+    """Return the thermostats and barostats of a Context, without those added to its System later, which do not act."""
     known = set(context.getParameters())
     names = (_THERMOSTAT, *BAROSTATS)
     found = [force for force in context.getSystem().getForces() if type(force).__name__ in names]
@@ -179,7 +179,7 @@ def acting_updates(context: openmm.Context) -> list[Any]:
 
 
 def _check_torn_bodies(context: openmm.Context, barostats: list[Any], named: Sequence[Sequence[int]]) -> None:
-    """Raise ValueError for bodies torn by a barostat that moves particles or OpenMM's molecules individually."""
+    """Raise ValueError if a barostat, which moves particles or OpenMM's molecules individually, would tear bodies."""
     for barostat in barostats:
         if not getattr(barostat, "getScaleMoleculesAsRigid", lambda: True)():
             name = type(barostat).__name__

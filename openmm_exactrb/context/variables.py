@@ -1,9 +1,9 @@
-"""Persistent variables, which OpenMM's checkpoints, States and XML contain, declared in one list.
+"""Declaration of the persistent variables, which OpenMM's checkpoints, States and XML contain.
 
-Names and order are the format of checkpoints. All integrators of the package have the variables of all of its
-thermostats, so that a checkpoint or State of one kind can be read by another. The numbers of a single thermostat
-follow, and make the format a different one. A checkpoint of OpenMM is a row of numbers without names, which OpenMM
-reads into any variables, so the first number also identifies the format.
+Their names and order define the format of checkpoints. All integrators of the package have the variables of all its
+thermostats, so that an integrator can load a checkpoint or State of another kind of integrator. The variables of a
+single thermostat are declared last, and change the format. An OpenMM checkpoint contains numbers without names, which
+OpenMM loads into any variables; the first number therefore also identifies the format.
 """
 
 from __future__ import annotations
@@ -20,25 +20,25 @@ from openmm_exactrb.mechanics.state import Force, Remembered, State
 _PREFIX = "exactrb_"
 # Per-DOF variables, on the first particle of each body: high parts, then low parts of the sums.
 _VECTORS = tuple(f"{name}{part}" for part in ("", "_low") for name in "RPmqw")
-#: The state as it is shown, and the one in the inner coordinates of a processed scheme.
+#: Prefixes of the state that the Context shows, and of that in the inner coordinates of a processed scheme.
 SHOWN, INNER = "", "inner_"
-# Whether there is a state in them, and whether Python is at work. A state is there from _WRITTEN to below _STEPPING,
-# which says in which format; see `written`.
+# Whether the variables hold a state, and whether Python performs a step. Values from _WRITTEN to below _STEPPING mean
+# that they hold a state, and identify its format; see `written`.
 _STORED = "stored"
 NOTHING, _WRITTEN, _STEPPING, _DEVICE = 0.0, 1.0, 2.0, 4.0
-#: The mark of the coordinates of the inner state, 0 without one, and how many forces and differences of displaced
-#: ones are remembered with it.
+#: The mark of the coordinates of the inner state (0 without one), and the numbers of forces and of differences of
+#: displaced forces that are stored with it.
 COORDINATES, REMEMBERED, DIFFERENCES = "coordinates", "remembered", "differences"
-#: Of the noise: the seed, and which of its streams.
+#: The seed of the noise, and the number of its stream.
 SEED, STREAM = "seed", "stream"
-#: Of thermostats: the heat that they gave, and proposals of Metropolis's rule.
+#: The heat that thermostats have exchanged, and the numbers of accepted and of all proposals of Metropolis's rule.
 HEAT, HEAT_OF_FRICTION, ACCEPTED, PROPOSED = "heat", "heat_of_friction", "accepted", "proposed"
 _NUMBERS = (SEED, STREAM, HEAT, HEAT_OF_FRICTION, ACCEPTED, PROPOSED, COORDINATES, REMEMBERED, DIFFERENCES)
-#: What is said of a checkpoint in the variables of another engine than its own.
+#: Message about a checkpoint that another engine wrote.
 OTHER_ENGINE = (
     'the loaded checkpoint is from a run with engine="{0}": create the integrator with engine="{0}" or "auto"'
 )
-#: What is said of a checkpoint in the variables of another format than its own.
+#: Message about a checkpoint that has another format.
 OTHER_FORMAT = (
     "the loaded checkpoint or State is from another kind of integrator, or from a thermostat with other variables "
     "(such as a chain of another length): create the same integrator as in the run that wrote it, or load only "
@@ -50,9 +50,9 @@ def declare(integrator: openmm.CustomIntegrator, own: Sequence[str] = (), memory
     """Give a new integrator its variables, and the program with which OpenMM performs its own part of a step.
 
     A copy that OpenMM creates, from XML or within a CompoundIntegrator, has no Python part: its steps would advance the
-    clock without moving the bodies. Positions and velocities therefore become nan unless a step comes from Python.
-    `own` names numbers of a thermostat that not all integrators have. A processed scheme also has an inner state, and a
-    `memory` of that many forces.
+    clock without moving the bodies. Positions and velocities therefore become nan unless Python performs the step.
+    `own` lists the names of numbers that not all integrators have. For a processed scheme, which also has an inner
+    state, `memory` is the number of stored forces.
     """
     stored = _PREFIX + _STORED
     for name in _VECTORS:
@@ -63,7 +63,7 @@ def declare(integrator: openmm.CustomIntegrator, own: Sequence[str] = (), memory
     integrator.addGlobalVariable(stored, NOTHING)
     integrator.beginIfBlock(f"{stored} < {_STEPPING}")
     integrator.addComputePerDof("x", f"x + log({stored} - 3)")
-    # Forces at such positions are an error where the platform checks them: Reference does not.
+    # Forces at such positions raise an error on platforms that check positions; Reference does not check them.
     integrator.addComputePerDof("v", f"v + f + log({stored} - 3)")
     integrator.endBlock()
     integrator.addUpdateContextState()
@@ -71,55 +71,55 @@ def declare(integrator: openmm.CustomIntegrator, own: Sequence[str] = (), memory
 
 
 def declare_numbers(integrator: openmm.CustomIntegrator, own: Sequence[str] = ()) -> None:
-    """Give a new integrator the numbers of the package and its own, all zero."""
+    """Give a new integrator the numbers of all integrators, and those named by `own`, with values of zero."""
     for name in (*_NUMBERS, *own):
         integrator.addGlobalVariable(_PREFIX + name, 0.0)
 
 
 def written(own: Sequence[str]) -> float:
-    """Return the first number of an integrator that has a state and its own numbers: at least 1, below 2."""
+    """Return the first number, from 1 to below 2, of an integrator that holds a state and has the numbers `own`."""
     return _WRITTEN + (1 + zlib.crc32(" ".join(own).encode())) / 2**33 if own else _WRITTEN
 
 
 def marks(own: Sequence[str] = ()) -> tuple[float, float]:
-    """Return the possible first numbers of an integrator that has a state and its own numbers."""
+    """Return the possible first numbers of an integrator that holds a state and has the numbers `own`."""
     return written(own), _STEPPING
 
 
 def declared(integrator: openmm.CustomIntegrator) -> bool:
-    """Return whether an integrator has these variables."""
+    """Return whether an integrator has the variables of `declare`."""
     return bool(integrator.getGlobalVariableName(0) == _PREFIX + _STORED)
 
 
 def device(own: Sequence[str]) -> float:
-    """Return the first number of an integrator whose state is on a device: at least 5, below 6."""
+    """Return the first number, from 5 to below 6, of an integrator whose state is on a device."""
     return written(own) + _DEVICE
 
 
 def declare_device(integrator: openmm.CustomIntegrator, own: Sequence[str] = ()) -> None:
-    """Give a new integrator that stores the state itself the mark and its numbers."""
+    """Give the first number and the numbers of `declare_numbers` to a new integrator that stores the state itself."""
     integrator.addGlobalVariable(_PREFIX + _STORED, NOTHING)
     declare_numbers(integrator, own)
 
 
 def own_numbers(integrator: openmm.CustomIntegrator) -> list[str]:
-    """Return the numbers that not all integrators have."""
+    """Return the names of the numbers that not all integrators have."""
     names = range(1 + len(_NUMBERS), integrator.getNumGlobalVariables())
     return [integrator.getGlobalVariableName(k).removeprefix(_PREFIX) for k in names]
 
 
 def get(integrator: openmm.CustomIntegrator, name: str) -> float:
-    """Return a number."""
+    """Return the number with a given name."""
     return float(integrator.getGlobalVariableByName(_PREFIX + name))
 
 
 def put(integrator: openmm.CustomIntegrator, name: str, value: float) -> None:
-    """Set a number."""
+    """Set the number with a given name."""
     integrator.setGlobalVariableByName(_PREFIX + name, value)
 
 
 def step_openmm(integrator: openmm.CustomIntegrator, steps: int) -> None:
-    """Let OpenMM perform steps of its own, in which barostats and thermostats of the System act."""
+    """Let OpenMM perform its own part of steps, in which barostats and thermostats of the System act."""
     before = get(integrator, _STORED)
     put(integrator, _STORED, _STEPPING)
     try:
@@ -129,7 +129,7 @@ def step_openmm(integrator: openmm.CustomIntegrator, steps: int) -> None:
 
 
 class Numbers:
-    """Numbers that the substeps of a call change; additions take effect when the step is kept."""
+    """Numbers that the substeps of a call change; the changes take effect when the step is kept."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self._names = names
@@ -142,7 +142,7 @@ class Numbers:
         self.keep()
 
     def keep(self) -> None:
-        """Keep the present numbers."""
+        """Keep the present numbers, which `store` writes."""
         self._kept = dict(self.present)
 
     def store(self, integrator: openmm.CustomIntegrator) -> None:
@@ -164,7 +164,7 @@ def write(integrator: openmm.CustomIntegrator, bodies: RigidBodies, state: State
 
 
 def mark(integrator: openmm.CustomIntegrator, value: float) -> None:
-    """Mark the variables of an integrator by one of its `marks`."""
+    """Set the first number of an integrator to one of its `marks`."""
     put(integrator, _STORED, value)
 
 
@@ -174,7 +174,7 @@ def marked(integrator: openmm.CustomIntegrator) -> bool:
 
 
 def read(integrator: openmm.CustomIntegrator, bodies: RigidBodies, which: str = SHOWN) -> State | None:
-    """Read the sums of a state, if one was written and the integrator has variables for it."""
+    """Return the sums of a state, or None if no state was written or the integrator has no variables for it."""
     if not marked(integrator) or not _has(integrator, which + _VECTORS[-1]):
         return None
     first, k = bodies.first_particle, bodies.n_turning
@@ -204,7 +204,7 @@ def read_forces(integrator: openmm.CustomIntegrator, bodies: RigidBodies) -> Rem
     memory: list[Force] = []
     n = int(get(integrator, REMEMBERED))
     for k in range(n + int(get(integrator, DIFFERENCES))):
-        if not _has(integrator, _last(k)[1]):  # another scheme wrote them, whose memory is no use
+        if not _has(integrator, _last(k)[1]):  # another scheme wrote them, whose forces cannot be used
             return [], []
         force, torque = (
             np.array(integrator.getPerDofVariableByName(_PREFIX + name), dtype=np.float64)[bodies.first_particle].T
@@ -215,7 +215,7 @@ def read_forces(integrator: openmm.CustomIntegrator, bodies: RigidBodies) -> Rem
 
 
 def _has(integrator: openmm.CustomIntegrator, name: str) -> bool:
-    """Return whether an integrator has these vectors."""
+    """Return whether an integrator has a per-DOF variable with this name."""
     return _PREFIX + name in map(integrator.getPerDofVariableName, range(integrator.getNumPerDofVariables()))
 
 

@@ -1,9 +1,10 @@
 """``Context.setVelocitiesToTemperature`` for Contexts with an integrator of this package.
 
 OpenMM draws the velocities of particles, and its constraint solver removes their components along the constraints. The
-momenta of rigid bodies are then canonical, because no impulse along a constraint changes them. But with redundant
-constraints the solver does not converge, or leaves motions that bend a straight or flat body; it supports neither
-molecules that the box has split nor bodies named by hand; and the centre of mass moves until a CMMotionRemover acts.
+momenta of rigid bodies are then canonical, because impulses along constraints do not change them. With redundant
+constraints, however, the solver does not converge, or leaves motions that bend a straight or flat body. It supports
+neither molecules that the box has split nor bodies named by hand. In addition, the centre of mass moves until a
+CMMotionRemover acts.
 """
 
 from __future__ import annotations
@@ -19,12 +20,13 @@ from openmm_exactrb.context.solver import solvable
 from openmm_exactrb.openmm_access import arrays, parameters
 from openmm_exactrb.openmm_access.units import gas_constant_times
 
-# Of the thermal speed of the lightest particle, what a solver that converged may leave along a constraint.
+# Largest velocity along a constraint that a converged solver may leave, over the thermal speed of the lightest
+# particle.
 _LEFT = 1e-3
 
 
 def draw_by_integrators(kind: type[Any]) -> None:
-    """Let integrators of a class draw the velocities that OpenMM cannot, using their method of the same name.
+    """Let integrators of a class draw velocities, with their method of the same name, where OpenMM fails.
 
     The method of all Contexts is replaced, because it may be called before the integrator knows its Context.
     """
@@ -62,7 +64,7 @@ def _fit(context: Any, temperature: Any, *_: Any) -> bool:
 
 
 def _stop(context: Any) -> None:
-    """Bring the centre of mass to rest if the System has a CMMotionRemover, which does so at the first step."""
+    """Bring the centre of mass to rest if the System has a CMMotionRemover, which would do so at the first step."""
     system = context.getSystem()
     if any(isinstance(force, openmm.CMMotionRemover) for force in system.getForces()):
         v, masses = arrays.velocities(context.getState(velocities=True)), parameters.masses(system)

@@ -41,13 +41,14 @@ def find_bodies(
     ----------
     system : openmm.System
     positions : (n_particles, 3) array
-        In nm. They distinguish a body from its mirror image, and define the shape if constraints do not.
+        Positions in nm. They distinguish a body from its mirror image, and define the shape if constraints do not.
     bodies : sequence of sequences of int, optional
-        Particles of further bodies, whose shape is that of the positions. Their virtual sites may be named or not.
+        Particles of further bodies, whose shapes are those of the positions. Their virtual sites may be included or
+        omitted.
     box : (3, 3) array, optional
-        Vectors of the periodic box in nm, which may have split bodies: see `whole_positions`.
+        Vectors of the periodic box in nm. Bodies that the box has split are joined; see `whole_positions`.
     pairs : bool, optional
-        Whether two particles with a constraint between them form a cluster instead of a linear body.
+        Whether two particles joined by a constraint form a cluster instead of a linear body.
 
     Raises
     ------
@@ -87,9 +88,9 @@ def find_bodies(
 
 
 def _flexible(particles: Indices, masses: Array, distances: Array, positions: Array) -> ClusterKind:
-    """Return clusters from their constrained distances; the other distances are nan.
+    """Return clusters with given constrained distances (n, n); unconstrained distances are nan.
 
-    Redundant rows are implied: all lengths are then those of the best fit to all rows.
+    Redundant constraints become implied constraints; all lengths are then those of the best fit to all constraints.
     """
     pairs = np.argwhere(np.triu(~np.isnan(distances), 1))
     kind = ClusterKind(particles, masses, pairs, distances[pairs[:, 0], pairs[:, 1]])
@@ -130,7 +131,7 @@ def _check_drude_particles(system: openmm.System) -> None:
 
 
 def _named_bodies(system: openmm.System, masses: Array, bodies: Sequence[Sequence[int]]) -> list[Indices]:
-    """Return the massive particles of the bodies that a user named."""
+    """Return the particles with mass of the bodies that a user named."""
     owner = checks.owners(bodies, len(masses))
     for particle in map(int, np.flatnonzero((owner >= 0) & (masses == 0.0))):
         if not system.isVirtualSite(particle):
@@ -155,8 +156,8 @@ def _named_bodies(system: openmm.System, masses: Array, bodies: Sequence[Sequenc
 
 
 def _clusters(held: Rows, masses: Array, given: list[Indices]) -> Iterable[tuple[Indices, Array]]:
-    """Return the particles (N, n) of bodies of one kind, and their constrained distances (n, n), or nan."""
-    from scipy.sparse import coo_array  # here, for a short import of the package
+    """Return, for each kind of body, the particles (N, n) and the distances (n, n), nan if unconstrained."""
+    from scipy.sparse import coo_array  # imported here, because it is slow to import
     from scipy.sparse.csgraph import connected_components
 
     n, (pairs, _), owner = len(masses), held, checks.owners(given, len(masses))
@@ -173,7 +174,7 @@ def _clusters(held: Rows, masses: Array, given: list[Indices]) -> Iterable[tuple
 
 
 def _of_one_size(held: Rows, label: Indices, owner: Indices) -> Iterable[tuple[Indices, Array]]:
-    """Yield the particles (N, n) of clusters of n particles, from their labels, and their distances (N, n, n)."""
+    """Yield, for each size n, the particles (N, n) of clusters with equal labels and their distances (N, n, n)."""
     pairs, lengths = held
     order = np.argsort(label, kind="stable")
     bounds = np.flatnonzero(np.diff(label[order], prepend=-1, append=len(label)))
@@ -195,7 +196,7 @@ def _of_one_size(held: Rows, label: Indices, owner: Indices) -> Iterable[tuple[I
 
 
 def _alike(masses: Array, particles: Indices, distances: Array) -> Iterable[tuple[int, Indices, Array]]:
-    """Yield clusters grouped by masses and distances: the first particle, and the particles (N, n)."""
+    """Yield clusters grouped by masses and distances: first particle, particles (N, n), distances (n, n)."""
     massive = masses[particles].any(axis=1)  # others are frozen, or virtual sites
     particles, distances = particles[massive], distances[massive]
     if not len(particles):

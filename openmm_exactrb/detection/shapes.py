@@ -1,4 +1,4 @@
-"""The shapes of rigid bodies: their particles in principal axes, from distances or from positions."""
+"""The shapes of rigid bodies: positions of particles in the principal axes, from distances or from positions."""
 
 from __future__ import annotations
 
@@ -11,20 +11,21 @@ from openmm_exactrb.mechanics.bodies import Kind
 from openmm_exactrb.mechanics.fit import RIGIDITY, best_attitudes
 from openmm_exactrb.support.types import Array, Indices
 
-# A body whose extent along an axis, squared, is less than this part of the largest is flat or linear.
+# A body is flat or linear if its squared extent along an axis is less than this fraction of the largest.
 _FLAT = 1e-10
-# Particles that are as near as this, in nm, coincide.
+# Particles within this distance (nm) of each other coincide.
 _POINT = 1e-6
-#: How much the distances of a body may be missed by, as a part of the largest: files round them.
+#: Largest deviation from the distances of a body, relative to the largest distance: files round distances.
 RESIDUAL = 1e-5
-# Particles of a flat body some of whose distances are not constrained, and the least stress that keeps one flat.
+# Largest number of particles of a flat body with unconstrained distances, and least stress that keeps it flat.
 _LARGEST_FLAT, _RESISTING = 64, 1e-3
-# Iterations for positions on constraints, and the move at which they end, as a part of the longest constraint.
+# Largest number of iterations for positions on constraints, and the move, relative to the longest constraint, that ends
+# them.
 _NEWTON, _AT_REST = 50, 1e-15
 
 
 def kinds_from_distances(particles: Indices, masses: Array, distances: Array, positions: Array) -> list[Kind]:
-    """Return the kind of bodies with known distances between all particles, or this kind and its mirror image."""
+    """Return the kind of bodies with given distances between all particles, and its mirror image if both occur."""
     kind = _kind(particles, masses, distances)
     if not kind.sites[0].any(axis=0).all():
         return [kind]
@@ -38,11 +39,11 @@ def kinds_from_distances(particles: Indices, masses: Array, distances: Array, po
 
 
 def on_constraints(particles: Indices, masses: Array, distances: Array, positions: Array) -> Array:
-    """Return the closest positions (n_particles, 3) that satisfy constraints, in the metric of the masses.
+    """Return the positions (n_particles, 3) that satisfy constraints and are closest in the metric of the masses.
 
     Newton's method starts from the given positions; bodies without constraints are unchanged. Constraints that are
-    redundant except for rounding are satisfied in the sense of least squares. A ValueError is raised if positions are
-    not finite, or the method does not converge from them.
+    redundant up to rounding are satisfied in the sense of least squares. A ValueError is raised if positions are not
+    finite or Newton's method does not converge.
     """
     X = positions[particles]
     if not np.isfinite(X).all():
@@ -76,9 +77,10 @@ def on_constraints(particles: Indices, masses: Array, distances: Array, position
 
 
 def kinds_from_positions(particles: Indices, masses: Array, positions: Array) -> list[Kind]:
-    """Return the kinds of bodies with these masses and the shapes of their positions.
+    """Return the kinds of bodies with given masses, whose shapes are taken from their positions.
 
-    If all bodies agree with the first within `RIGIDITY`, they share its shape; otherwise each has its own.
+    If all bodies agree with the first within `RIGIDITY`, they share its shape; otherwise each body has a separate
+    shape.
     """
     X = positions[particles]
     kind = _with_shape_of(particles[:1], masses, X[:1], positions)
@@ -101,7 +103,7 @@ def _with_shape_of(particles: Indices, masses: Array, X: Array, positions: Array
 
 
 def _joined(kinds: list[Kind]) -> Kind:
-    """Return bodies with the same masses as one kind with a shape for each body."""
+    """Return kinds of bodies with the same masses as a single kind that has a shape for each body."""
     particles, sites, inertia = (
         np.concatenate([getattr(kind, name) for kind in kinds]) for name in ("particles", "sites", "inertia")
     )
@@ -133,10 +135,10 @@ def held_rigid(distances: Array, x: Array) -> bool:
 def _kept_flat(distances: Array, places: Array) -> bool:
     """Return whether constraints keep a flat or straight body with given coordinates (k, 1 or 2) in that shape.
 
-    They do if there is a stress on the constraints, in equilibrium at each particle, that resists all motions out of
-    the plane: a positive definite matrix whose entries vanish for unconstrained distances. R. Connelly, Invent. Math.
-    66 (1982) 11. The stress closest to that of all distances is tested, for bodies of at most `_LARGEST_FLAT`
-    particles.
+    They do if there is a stress on the constraints that is in equilibrium at each particle and resists all motions out
+    of the plane (Connelly, Invent. Math. 66 (1982) 11). Such a stress is a positive definite matrix whose entries
+    vanish for unconstrained distances. The stress closest to that of a body with all distances constrained is tested;
+    the result is False for bodies of more than `_LARGEST_FLAT` particles.
     """
     k = len(places)
     if k > _LARGEST_FLAT:
@@ -153,16 +155,16 @@ def _kept_flat(distances: Array, places: Array) -> bool:
 
 
 def _kind(particles: Indices, masses: Array, distances: Array) -> Kind:
-    """Place the particles of a body in its principal axes, from all their distances."""
+    """Return the kind of bodies with given distances (k, k), with their particles placed in the principal axes."""
     mass, k = float(masses.sum()), len(masses)
     if distances.max() <= _POINT:
         return Kind(particles, slice(0), masses, np.zeros((1, k, 3)), mass, np.zeros((1, 3)))
-    # Classical scaling about the centre of mass: the weighted Gram matrix has the moments of second order as its
-    # eigenvalues and the positions as its eigenvectors.
+    # Classical scaling about the centre of mass: the eigenvalues of the weighted Gram matrix are the second moments,
+    # and its eigenvectors give the positions.
     root = np.sqrt(masses)
     spread, axes = _scaled(distances, masses / mass, root)
     sites = axes * np.sqrt(spread) / root[:, None]
-    if not spread.all():  # flat, unless the masses alone are: then the positions come first, and the axes next
+    if not spread.all():  # flat, or only the masses are: then find positions first and axes next
         extent, directions = _scaled(distances, np.full(k, 1.0 / k), np.ones(k))
         if np.count_nonzero(extent) > np.count_nonzero(spread):
             places = directions * np.sqrt(extent)
@@ -175,14 +177,14 @@ def _kind(particles: Indices, masses: Array, distances: Array) -> Kind:
             f"the constraints between particles {', '.join(map(str, particles[0]))} cannot be satisfied in three "
             f"dimensions, by {residual:.2g} nm: correct their lengths"
         )
-    # The largest spread comes first: moments ascend, and a linear body lies on axis 1.
+    # The largest spread comes first, so that moments ascend and a linear body is along axis 1.
     return Kind(particles, slice(0), masses, sites[None], mass, (spread.sum() - spread)[None])
 
 
 def _scaled(distances: Array, weights: Array, root: Array) -> tuple[Array, Array]:
     """Return the three largest eigenvalues (3,), 0 if small, and eigenvectors (k, 3) of the Gram matrix of positions.
 
-    The positions have the given distances and the weighted mean 0, and are scaled by the square roots of the weights.
+    The positions have the given distances and a weighted mean of 0, and are scaled by the square roots of the weights.
     """
     square = distances**2
     to_centre = square @ weights

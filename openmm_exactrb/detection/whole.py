@@ -1,7 +1,7 @@
-"""Positions of a System in which molecules are whole: joined along constraints and bonds, or to a known shape.
+"""Positions of a System with whole molecules, which are joined along constraints and bonds, or to a known shape.
 
-The positions define the shape of bodies named by hand. If nothing joins their parts, positions are used unchanged; a
-ValueError is raised if there is evidence that the box has split them.
+The positions define the shape of bodies named by hand. If neither constraints nor bonds join the parts of such a body,
+its positions are used unchanged; a ValueError is raised if there is evidence that the box has split it.
 """
 
 from __future__ import annotations
@@ -28,22 +28,23 @@ from openmm_exactrb.support import checks
 from openmm_exactrb.support.types import Array, Indices
 from openmm_exactrb.support.warn import warn
 
-# Gaps differ if one is shorter than this part of the other.
+# Two gaps differ if the ratio of the shorter to the longer is below this.
 _SHORTER = 1.0 - 1e-6
-# A body counts as split if its parts fit together with a gap of at most this many times the longest within them.
+# A body counts as split if its parts fit together with a gap of at most this multiple of the longest gap within a part.
 _FITTING = 2.0
-# A gap of less than this part of half the box has no other image that is nearly as short.
+# A gap below this fraction of half the box has no other image of nearly the same length.
 _CLEAR = 0.5
-# Distances (nm) are common that differ by less; shapes may by as much as a file rounds positions.
+# Distances (nm) that differ by less are equal. Shapes may differ by the second number, because files round positions.
 _COMMON, _ROUNDED = 1e-6, 2e-3
-# So many bodies are compared to find the distances that all have.
+# Number of bodies that are compared to find the distances common to all.
 _COMPARED = 4
 
 
 def molecular_links(system: openmm.System, molecule: Indices) -> Links:
-    """Return the constraints and bonds of a System, and further links between particles (n_particles,) of a molecule.
+    """Return links along constraints and bonds of a System, and further links within molecules (n_particles,).
 
-    Further links lead to the nearest image of a particle on which a virtual site depends, or of the first particle.
+    Further links join virtual sites to a particle on which they depend, and other separate parts of a molecule to its
+    first particle, at the nearest image.
     """
     pairs, lengths = _with_bonds(system, parameters.constraints(system))
     n = len(molecule)
@@ -57,13 +58,13 @@ def molecular_links(system: openmm.System, molecule: Indices) -> Links:
 
 
 def _with_bonds(system: openmm.System, held: Rows) -> Rows:
-    """Return the particles (m, 2) of constraints and bonds, and their lengths (m,) in nm or nan."""
+    """Return the particles (m, 2) of constraints and bonds, and their lengths (m,) in nm, nan if unknown."""
     pairs, lengths = [held[0]], [held[1]]
     for force in system.getForces():
         if isinstance(force, openmm.HarmonicBondForce | openmm.CustomBondForce):
             particles, numbers = parameters.terms(force)
             pairs.append(particles)
-            known = isinstance(force, openmm.HarmonicBondForce)  # a formula may have no length at rest
+            known = isinstance(force, openmm.HarmonicBondForce)  # a formula may have no rest length
             lengths.append(numbers[:, 0] if known else np.full(len(particles), np.nan))
     return np.concatenate(pairs), np.concatenate(lengths)
 
@@ -139,7 +140,7 @@ _REMEDY = (
 
 
 def _loose_whole(x: Array, masses: Array, bodies: list[Indices], numbers: list[int], box: Array, split: bool) -> Array:
-    """Return positions in which bodies without links are whole, if others with the same masses show their shape.
+    """Return positions in which bodies without links are whole, if other bodies with the same masses show their shape.
 
     ``split`` states whether the box has split other molecules.
     """
@@ -160,7 +161,7 @@ def _loose_whole(x: Array, masses: Array, bodies: list[Indices], numbers: list[i
 
 
 def _by_common_shape(X: Array, box: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return bodies (n, k, 3) of equal masses, with split bodies joined, and which of them are confirmed by others.
+    """Return bodies (n, k, 3) of equal masses, with split bodies joined, and a mask (n,) of bodies confirmed by others.
 
     If images of the particles give all bodies a common shape, the bodies are joined to this shape. Otherwise bodies
     whose nearest images have the shape of a whole body are joined.
@@ -174,7 +175,7 @@ def _by_common_shape(X: Array, box: Array) -> tuple[Array, NDArray[np.bool_]]:
     if not torn.any() and (image_gaps(X, None)[0] <= _CLEAR * half_width(box)).all():
         return X, confirmed
     apart = (gaps - gaps[0]) @ np.linalg.inv(box)
-    if np.abs(apart - np.round(apart)).max() <= RIGIDITY / half_width(box):  # all are turned alike
+    if np.abs(apart - np.round(apart)).max() <= RIGIDITY / half_width(box):  # all have the same orientation
         longest = _steps(near[0]).max()
         if longest > _CLEAR * half_width(box):
             raise ValueError(
@@ -193,8 +194,8 @@ def _by_common_shape(X: Array, box: Array) -> tuple[Array, NDArray[np.bool_]]:
 
 
 def _nearest(X: Array, box: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return bodies (n, k, 3) joined by nearest images, and which of them then have shorter gaps."""
-    near, torn = X.copy(), np.ptp(X @ np.linalg.inv(box), axis=1).max(axis=1) > 0.5  # narrow ones are not
+    """Return bodies (n, k, 3) joined by nearest images, and a mask (n,) of those whose gaps become shorter."""
+    near, torn = X.copy(), np.ptp(X @ np.linalg.inv(box), axis=1).max(axis=1) > 0.5  # narrow bodies are not
     if torn.any():
         (given, _), (across, shifts) = image_gaps(X[torn], None), image_gaps(X[torn], box)
         near[torn] += shifts @ box
@@ -203,7 +204,7 @@ def _nearest(X: Array, box: Array) -> tuple[Array, NDArray[np.bool_]]:
 
 
 def _common_images(X: Array, box: Array) -> Array:
-    """Return the first body (k, 3), with distances from its first particle that images in other bodies share."""
+    """Return the first body (k, 3), at images whose distances from its first particle also occur in other bodies."""
     shape, offered = np.array(X[0]), lattice(2) @ box
     for place in range(1, len(shape)):
         gaps = (X[:_COMPARED, place] - X[:_COMPARED, 0])[:, None] + offered
@@ -216,7 +217,7 @@ def _common_images(X: Array, box: Array) -> Array:
 
 
 def _joined_to(shape: Array, X: Array, box: Array) -> Array:
-    """Return bodies (n, k, 3) with the images that match a shape (k, 3); unchanged if several match."""
+    """Return bodies (n, k, 3) at the images that match a shape (k, 3); unchanged if several images match."""
     n, k, _ = X.shape
     within = spanning_pairs(shape[None], braced=True)
     lengths = np.linalg.norm(shape[within[:, 0]] - shape[within[:, 1]], axis=1)
@@ -229,7 +230,7 @@ def _joined_to(shape: Array, X: Array, box: Array) -> Array:
 
 
 def _congruent(shape: Array, X: Array, within: float = RIGIDITY) -> NDArray[np.bool_]:
-    """Return which bodies (n, k, 3) match a shape (k, 3) or its mirror image within a distance."""
+    """Return a mask (n,) of bodies (n, k, 3) that match a shape (k, 3) or its mirror image within a distance (nm)."""
     sites, relative = (a - a.mean(axis=-2, keepdims=True) for a in (shape[None], X))
     found = np.zeros(len(X), dtype=bool)
     for hand in (sites, -sites):
@@ -240,7 +241,7 @@ def _congruent(shape: Array, X: Array, within: float = RIGIDITY) -> NDArray[np.b
 
 
 def _say(number: int, X: Array, box: Array, split: bool) -> None:
-    """Raise a ValueError for, or warn of, a body (k, 3) that the periodic box may have split."""
+    """Raise ValueError or warn if the periodic box may have split a body (k, 3)."""
     (near,), (torn,) = _nearest(X[None], box)
     clear, in_cell = _CLEAR * half_width(box), _in_cell(X, box)
     if not torn and not (split and in_cell and np.linalg.norm(np.ptp(X, axis=0)) > clear):
@@ -263,7 +264,7 @@ def _say(number: int, X: Array, box: Array, split: bool) -> None:
 
 
 def _in_cell(X: Array, box: Array) -> bool:
-    """Return whether particles (k, 3) are individually wrapped into a cell that starts or is centred at 0."""
+    """Return whether particles (k, 3) are individually wrapped into a cell with its corner or its centre at 0."""
     place = X @ np.linalg.inv(box)
     return any(((place > low - 1e-3) & (place < low + 1.0 + 1e-3)).all() for low in (0.0, -0.5))
 

@@ -1,7 +1,8 @@
-"""The definition of an engine: a record of how the steps of an integrator are performed in its Context.
+"""The definition of an engine: a record of functions with which the steps of an integrator are performed.
 
-The record contains everything that the rest of the package needs to know, so that a new engine is a folder with a
-record and an entry in `openmm_exactrb.engines.catalogue.ENGINES`. Reasons and advice are sentences without a full stop.
+The record contains all properties of an engine that the rest of the package uses. A new engine therefore consists of a
+folder with its record, and an entry in `openmm_exactrb.engines.catalogue.ENGINES`. Reasons and advice are sentences
+without a full stop.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.thermostat import Thermostat
 
-#: What an engine says that does not add up the heat of its thermostat.
+#: The message of an engine that does not record the heat of its thermostat.
 NO_BALANCE = "the device does not add up the heat of its thermostat: use engine='host' to monitor the energy balance"
 
 
@@ -32,19 +33,19 @@ class Settings:
     Attributes
     ----------
     scheme : Scheme
-        All substeps of a step, including those of the thermostat.
+        The scheme of a step, including the substeps of the thermostat.
     outer : Scheme
-        The scheme that the user named.
+        The scheme that the user chose.
     splitting : Scheme
-        The drifts and kicks of a step: those of the outer scheme, or of the proposal of hybrid Monte Carlo.
+        The drifts and kicks of a step, from the outer scheme or from the proposal of hybrid Monte Carlo.
     splits : int
-        Steps of the splitting in a step.
+        Number of steps of the splitting per step.
     h : float
         Size of a step in ps.
     groups : int
-        Bits of the active force groups.
+        The active force groups, as bits.
     named : list of lists of int, or None
-        Bodies in addition to those defined by constraints.
+        The particles of bodies in addition to the bodies defined by constraints.
     check : bool
         Whether a jump of the total energy raises an error.
     """
@@ -63,29 +64,29 @@ class Settings:
 
     @property
     def numbers(self) -> tuple[str, ...]:
-        """The persistent numbers that substeps change."""
+        """The names of the persistent numbers that substeps change."""
         return () if self.thermostat is None else (*self.thermostat.numbers, *self.thermostat.own_numbers)
 
     @property
     def own_numbers(self) -> tuple[str, ...]:
-        """Persistent numbers of this thermostat alone."""
+        """The names of the persistent numbers that only this thermostat has."""
         return () if self.thermostat is None else self.thermostat.own_numbers
 
 
 class Propagator(Protocol):
-    """Performs the steps of an integrator in a Context, and owns the state between them."""
+    """Performs the steps of an integrator in a Context, and owns the state between the steps."""
 
     @property
     def sync(self) -> Synchronisation:
-        """The state of the bodies; if it is outdated, the propagator is as well."""
+        """The state of the bodies; if this is outdated, the propagator must be replaced."""
 
     @property
     def updates(self) -> ContextUpdates:
-        """OpenMM's actions between steps."""
+        """The updates that OpenMM performs between steps."""
 
     @property
     def last_exchange(self) -> tuple[State, State] | None:
-        """The states before and after the last heat exchange, if the present state is the end of its step.
+        """The states before and after the last heat exchange, or None if the state has changed since that step.
 
         A ValueError is raised if the engine does not store these states.
         """
@@ -112,18 +113,21 @@ class Engine:
     ----------
     name : str
     unsupported : callable
-        unsupported(settings) -> why the scheme, the rotor or the thermostat is not supported, or None.
+        unsupported(settings) -> the reason why the scheme, the rotor or the thermostat is not supported, or None.
     unsupported_in : callable
-        unsupported_in(context, settings) -> why a Context with this System and platform is not supported, or None.
+        unsupported_in(context, settings) -> the reason why a Context with this System and platform is not supported, or
+        None.
     advice : callable
         advice(context, settings) -> whether ``engine="auto"`` selects the engine if it is supported, and the reason.
     marks : callable
-        marks(settings) -> possible values of the first variable of an integrator that holds a state of this engine;
-        zero means that it holds none. The mark identifies the engine that wrote a checkpoint or State.
+        marks(settings) -> possible values of the first variable of an integrator that contains a state of this engine;
+        zero means that the integrator contains no state. The mark identifies the engine that wrote a checkpoint or
+        State.
     declare : callable
         declare(integrator, settings) gives an integrator without a Context its variables and its program.
     propagator : callable
-        propagator(context, integrator, settings, timings) -> Propagator; it prepares Context and integrator.
+        propagator(context, integrator, settings, timings) -> Propagator; the call prepares the Context and the
+        integrator.
     information : callable
         information() -> a sentence about the engine for ``exactrb info``.
     """

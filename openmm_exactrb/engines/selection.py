@@ -11,27 +11,27 @@ from openmm_exactrb.context import variables
 from openmm_exactrb.engines.catalogue import ENGINES, in_order
 from openmm_exactrb.engines.engine import Engine, Settings
 
-#: The first engine that serves the Context and pays there.
+#: The choice of the first engine that supports the Context and is advantageous there.
 AUTO = "auto"
 
 
 class Selection:
     """The engine of an integrator.
 
-    With "auto" the Context determines the engine, and a checkpoint that of its run. Until then the integrator has the
-    variables of the host. A ValueError is raised if the engine is unknown, or was requested and does not support a
-    setting.
+    With "auto", the Context determines the engine, unless the run continues from a checkpoint, whose engine is kept if
+    possible. Before there is a Context, the integrator has the variables of the host engine. A ValueError is raised if
+    the engine is unknown, or if a requested engine does not support a setting.
 
     Attributes
     ----------
     asked : str
         The name of an engine, or "auto".
     engine : Engine
-        The engine; provisional until there is a Context.
+        The chosen engine, which is provisional until there is a Context.
     note : str
-        The reason for the choice, a sentence.
+        A sentence that states the reason for the choice.
     marks : tuple of float
-        Possible values of the first variable of the integrator, without a state or with one of this engine.
+        Possible values of the first variable of the integrator if it contains no state, or a state of this engine.
     """
 
     def __init__(self, asked: str, settings: Settings) -> None:
@@ -44,11 +44,11 @@ class Selection:
 
     @property
     def open(self) -> bool:
-        """Whether the Context determines the engine."""
+        """Whether there are several candidates, so that the Context determines the engine."""
         return len(self._candidates) > 1
 
     def settle(self, context: Any, integrator: openmm.CustomIntegrator, settings: Settings) -> None:
-        """Choose the engine for a Context and settings; raise ValueError if none supports them."""
+        """Choose the engine for a Context and settings; raise ValueError if no engine supports them."""
         writer = self._writer(integrator, settings)
         serving, reasons = _serving(self._candidates, lambda engine: engine.unsupported_in(context, settings))
         if not self.open:
@@ -68,9 +68,10 @@ class Selection:
         self.engine, self.note, self.marks = engine, note, (variables.NOTHING, *engine.marks(settings))
 
     def _writer(self, integrator: openmm.CustomIntegrator, settings: Settings) -> Engine | None:
-        """Return the engine that wrote the state in an integrator's variables, or None without a state.
+        """Return the engine that wrote the state in an integrator's variables, or None if they contain no state.
 
-        A ValueError is raised if another kind of integrator wrote it, or an engine that was not requested.
+        A ValueError is raised if the state was written by another kind of integrator, or by an engine that was not
+        requested.
         """
         mark = integrator.getGlobalVariable(0)
         if mark == variables.NOTHING:
@@ -85,7 +86,7 @@ class Selection:
 
 
 def _serving(engines: Sequence[Engine], unsupported: Callable[[Engine], str | None]) -> tuple[list[Engine], list[str]]:
-    """Return the supported engines, and why others are not; raise ValueError if there are none."""
+    """Return the supported engines, and why others are not supported; raise ValueError if none are supported."""
     answers = [(engine, unsupported(engine)) for engine in engines]
     serving, reasons = [engine for engine, why in answers if not why], [why for _, why in answers if why]
     if not serving:

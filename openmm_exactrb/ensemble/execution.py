@@ -1,4 +1,4 @@
-"""Execution of jobs: stored results are read, the other jobs are sent to workers and their results stored."""
+"""Execution of jobs: stored results are read, the other jobs are sent to workers, and their results are stored."""
 
 from __future__ import annotations
 
@@ -32,22 +32,22 @@ def as_completed(
     """Execute jobs and yield their results as they complete, stored ones first.
 
     A job whose function raises an exception, or that repeatedly kills its workers, yields a result with the error; a
-    later call tries the job again. Jobs of a worker process that dies are restarted on another one. Closing the
-    iterator cancels the rest.
+    later call tries the job again. Jobs of a worker process that dies are restarted on another worker. Closing the
+    iterator cancels the remaining jobs.
 
     Parameters
     ----------
     jobs : iterable of Job
-        Jobs; equal jobs are executed once.
+        The jobs; equal jobs are executed once.
     folder : path
-        Stores one JSON file for each successful job. Delete a file to have its job executed again.
+        Folder with one JSON file for each successful job. Delete a file to have its job executed again.
     scheduler : str, optional
-        Address of a dask scheduler, such as "tcp://node:8786", whose workers have one thread each, the same version of
-        this package and the modules of the functions. By default worker processes are started on this machine.
+        Address of a dask scheduler, such as "tcp://node:8786". Its workers must have one thread each, the same version
+        of this package, and the modules of the functions. By default, worker processes are started on this machine.
     workers : int, optional
-        Number of processes on this machine, each with one thread; one per core by default.
+        Number of processes on this machine, each with one thread; by default one process per core.
     progress : bool, optional
-        Show a progress bar on stderr.
+        Whether to show a progress bar on stderr.
 
     Yields
     ------
@@ -58,11 +58,11 @@ def as_completed(
     TypeError, ValueError
         If a job is not a `Job`, or both scheduler and workers are given. No job is started in this case.
     ConnectionError
-        If the scheduler does not answer, or disappears. Earlier results are stored.
+        If the scheduler does not answer, or the connection to it is lost. Earlier results are stored.
 
     Notes
     -----
-    Scripts call this under ``if __name__ == "__main__":``, because workers import the script.
+    In a script, call this function under ``if __name__ == "__main__":``, because workers import the script.
     """
     distinct = list(dict.fromkeys(jobs))
     for job in distinct:
@@ -84,7 +84,7 @@ def as_completed(
 
 
 def _results(jobs: list[Job], folder: Path, scheduler: str | None, workers: int | None) -> Iterator[Result]:
-    """Yield stored results, then execute the other jobs."""
+    """Yield stored results, then execute the other jobs and yield their results."""
     stored = {job: stored_result(job, folder) for job in jobs}
     yield from (result for result in stored.values() if result is not None)
     missing = [job for job, result in stored.items() if result is None]
@@ -100,7 +100,7 @@ def _results(jobs: list[Job], folder: Path, scheduler: str | None, workers: int 
 
 
 def stored_result(job: Job, folder: Path) -> Result | None:
-    """Return the result of a job that a folder stores; None if it is missing, or its file is damaged."""
+    """Return the result of a job from its file in a folder; None if the file is missing or damaged."""
     try:
         record = json.loads((folder / f"{job.key}.json").read_text(encoding="utf-8"))
         return Result(job, record["value"], seconds=record["seconds"], cached=True)

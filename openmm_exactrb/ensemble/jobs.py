@@ -1,4 +1,4 @@
-"""Jobs, each a function and its arguments with a key that is the same in every process, and their results."""
+"""Jobs, which are functions with arguments and a key that is the same in every process, and their results."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ class Job:
         including seeds.
     **arguments
         Numbers, text, lists, mappings, numpy arrays, paths, Quantities, functions, dataclasses such as a `Scheme`, or a
-        System, State, Force or Integrator of OpenMM. The job keeps copies, which are sent to the worker; instead of
-        large objects, pass the path of a file, or a function that builds them. Use a ``pathlib.Path`` for a file that
-        the function reads, and a str for one that it writes.
+        System, State, Force or Integrator of OpenMM. The job keeps copies and sends them to the worker; instead of a
+        large object, pass the path of a file or a function that builds the object. Use a ``pathlib.Path`` for a file
+        that the function reads, and a str for a file that it writes.
 
     Raises
     ------
     TypeError
         If the function cannot be found by its name in its module or does not accept the arguments, or if an argument is
-        of another type.
+        of an unsupported type.
 
     Attributes
     ----------
@@ -91,14 +91,14 @@ class Result:
     """The result of a job."""
 
     job: Job
-    #: What the function returned, as JSON holds it; None if it failed.
+    #: Value that the function returned, as represented in JSON; None if it failed.
     value: Any = None
-    #: Of the exception if it failed.
+    #: Type and message of the exception, and its traceback, if the function failed.
     error: str | None = None
     traceback: str | None = None
-    #: Wall time of the call, on its worker.
+    #: Wall time of the call on the worker, in s.
     seconds: float = 0.0
-    #: Whether it was read from disk.
+    #: Whether the result was read from disk.
     cached: bool = False
 
 
@@ -109,7 +109,7 @@ def sweep(function: Callable[..., Any], axes: Mapping[str, Iterable[Any]], **fix
     ----------
     function : callable
     axes : mapping
-        The values of each argument that varies. The last one varies fastest.
+        The values of each argument that varies. The last argument varies fastest.
     **fixed
         Arguments that are the same in all jobs.
 
@@ -120,7 +120,7 @@ def sweep(function: Callable[..., Any], axes: Mapping[str, Iterable[Any]], **fix
     Raises
     ------
     TypeError
-        As for a `Job`, or if the values of an axis are a str.
+        If a `Job` cannot be created, or the values of an axis are a str.
 
     Examples
     --------
@@ -136,7 +136,7 @@ def sweep(function: Callable[..., Any], axes: Mapping[str, Iterable[Any]], **fix
 
 
 def versions() -> list[str]:
-    """Return the versions of this package and of OpenMM, which keys include."""
+    """Return the versions of this package and of OpenMM, which are part of the keys of jobs."""
     return [version("unknown"), openmm.Platform.getOpenMMVersion()]
 
 

@@ -23,15 +23,15 @@ from openmm_exactrb.ensemble.jobs import Job, Result, versions
 TIMEOUT = 20.0
 
 _LOCAL = {
-    # A worker holds one job at a time, so that no job is blamed for the death of a worker that another one killed.
+    # A worker holds one job at a time, so that no job is blamed for the death of a worker that another job killed.
     "distributed.scheduler.worker-saturation": 1.0,
-    # LocalCluster gives up a worker that dies twice within this time, and waits forever if it was the last one.
+    # LocalCluster abandons a worker that dies twice within this time, and waits forever if it was the last worker.
     "distributed.deploy.lost-worker-timeout": "7 days",
 }
 
 
 def completed(client: distributed.Client, jobs: list[Job]) -> Iterator[Result]:
-    """Send jobs to the workers and yield results as they complete."""
+    """Send jobs to the workers, and yield their results as they complete."""
     # Pickled here, since dask never finishes a task whose module a worker cannot import.
     pickled = [cloudpickle.dumps(job) for job in jobs]
     futures = client.map(perform, pickled, wanted=versions(), pure=False)
@@ -45,7 +45,7 @@ def completed(client: distributed.Client, jobs: list[Job]) -> Iterator[Result]:
 
 
 def _fields(future: distributed.Future) -> dict[str, Any]:
-    """Return the fields of a result."""
+    """Return the fields of the `Result` that a future provides."""
     try:
         return dict(future.result())
     except distributed.CancelledError as error:
@@ -56,12 +56,12 @@ def _fields(future: distributed.Future) -> dict[str, Any]:
         return {
             "error": "KilledWorker: every worker process that started it died, because it crashed or ran out of memory"
         }
-    except Exception as error:  # dask's own: exceptions of the function are caught by `perform`
+    except Exception as error:  # raised by dask: `perform` catches exceptions of the function
         return {"error": f"{type(error).__name__}: {error}"}
 
 
 def perform(pickled: bytes, wanted: list[str]) -> dict[str, Any]:
-    """Call the function of a job, on a worker; return the fields of its result."""
+    """Call the function of a job on a worker, and return the fields of its result."""
     began = time.perf_counter()
     try:
         if versions() != wanted:
@@ -89,7 +89,7 @@ def _as_from_json(value: Any) -> Any:
 
 @contextmanager
 def client_of(scheduler: str | None, workers: int | None, jobs: int) -> Iterator[distributed.Client]:
-    """Connect to a scheduler, or start one with workers on this machine, at most one for each job."""
+    """Connect to a scheduler, or start one on this machine with at most one worker for each job."""
     if scheduler is None:
         with (
             dask.config.set(_LOCAL),

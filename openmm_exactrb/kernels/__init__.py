@@ -1,4 +1,4 @@
-"""Inner loops, compiled by numba when the first of them is loaded; `plain` contains the exact rotation in numpy."""
+"""Inner loops, which numba compiles when they are first loaded; `plain` contains the exact rotation in numpy."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ from types import ModuleType
 
 
 def load(name: str) -> ModuleType:
-    """Import a module of compiled kernels, compiling it unless it is in numba's cache.
+    """Import and return a module of kernels, which are compiled unless they are in numba's cache.
 
     Parameters
     ----------
     name : str
         "bodies" (positions of the particles of rigid bodies, forces and torques), "exact" (the free rotation),
-        "clusters" (the free flow of constrained clusters), "bonded" (bonds, angles and torsions), "inner_steps" (of
-        multiple time stepping), "pairs" and "mesh" (dipoles), "ellipsoids" or "parameters" (of OpenMM's forces).
+        "clusters" (the free flow of constrained clusters), "bonded" (bonds, angles and torsions), "inner_steps" (the
+        inner steps of multiple time stepping), "pairs" and "mesh" (dipoles), "ellipsoids" (the Gay-Berne potential) or
+        "parameters" (the parameters of OpenMM's forces).
     """
     return import_module(f"{__name__}.compiled.{name}")

@@ -1,4 +1,4 @@
-"""Compilation of functions by numba, which is imported with this module, and its cache on disk."""
+"""Compilation of functions by numba, with a cache on disk; importing this module imports numba."""
 
 from __future__ import annotations
 
@@ -26,11 +26,12 @@ _PACKAGE = Path(__file__).parent.parent
 
 
 def compiled(*arguments: str | type[Any]) -> _Decorator:
-    """Compile a function when it is defined, or load it from numba's cache; it runs without Python's global lock.
+    """Return a decorator that compiles a function when it is defined, or loads it from numba's cache.
 
-    `arguments` are "f" for a float and "i" for an integer, followed by the number of axes of a C-contiguous array; an
-    uppercase character is an array that the function writes to. "f2 F1" is a matrix and a vector for the result. A
-    NamedTuple of `openmm_exactrb.kernels.records` is passed itself, since its fields declare their types.
+    The compiled function runs without Python's global lock. Its `arguments` are described by "f" for floats and "i" for
+    integers, followed by the number of axes for C-contiguous arrays; an uppercase character denotes an array that the
+    function writes to. For example, "f2 F1" denotes a matrix, and a vector for the result. A NamedTuple of
+    `openmm_exactrb.kernels.records` is passed as a class, because its fields declare their types.
     """
     signature = types.void(*itertools.chain.from_iterable(map(_types, arguments)))
 
@@ -45,7 +46,7 @@ def compiled(*arguments: str | type[Any]) -> _Decorator:
 
 
 def _types(argument: str | type[Any]) -> Sequence[Any]:
-    """Return numba's types of arguments."""
+    """Return numba's types for an argument of `compiled`."""
     if isinstance(argument, str):
         return [_type(word) for word in argument.split()]
     fields = get_type_hints(argument, include_extras=True).values()
@@ -58,28 +59,28 @@ def _type(word: str) -> Any:
 
 
 def at_first_call(function: Function) -> Function:
-    """Compile a function at its first call, with sums reordered and products fused, but no other fast mathematics."""
+    """Compile a function at its first call; the only fast mathematics are reordered sums and fused products."""
     fast: Function = _cached(njit(error_model="numpy", nogil=True, fastmath=_REORDERED)(function))
     return fast
 
 
-#: Marks a function that only compiled ones call.
+#: Marks a function that only compiled functions call.
 inner: _Decorator = njit(error_model="numpy", **_NO_WRAPPERS)
-#: The same, with sums reordered and products fused.
+#: The same as `inner`, with sums reordered and products fused.
 inner_reordered: _Decorator = njit(error_model="numpy", fastmath=_REORDERED, **_NO_WRAPPERS)
-#: Marks a function that is inlined into compiled ones.
+#: Marks a function that is inlined into compiled functions.
 inlined: _Decorator = njit(error_model="numpy", inline="always")
 
 
 class _Cache(FunctionCache):  # type: ignore[misc]
-    """numba's cache, with all sources of the kernels in its key instead of the file of a function."""
+    """numba's cache, with a key that contains all sources of the kernels, not only the file of the function."""
 
     def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
         return (*super()._index_key(sig, codegen), sources())
 
 
 def _cached(dispatcher: Any) -> Any:
-    """Let numba cache compiled code on disk."""
+    """Let numba cache the compiled code of a function on disk."""
     dispatcher._cache = _Cache(dispatcher.py_func)  # noqa: SLF001  # numba's interface has no other key
     return dispatcher
 

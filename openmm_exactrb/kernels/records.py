@@ -7,24 +7,27 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-#: Arrays of floats and of integers, with the number of their axes as `build.compiled` reads it.
+#: One-dimensional array of floats, with its code for `build.compiled`.
 F1 = Annotated[NDArray[np.float64], "F1"]
-#: The same with two axes.
+#: Two-dimensional array of floats.
 F2 = Annotated[NDArray[np.float64], "F2"]
-#: With three axes.
+#: Three-dimensional array of floats.
 F3 = Annotated[NDArray[np.float64], "F3"]
-#: Of integers.
+#: One-dimensional array of integers.
 I1 = Annotated[NDArray[np.int64], "I1"]
-#: Of integers, with two axes.
+#: Two-dimensional array of integers.
 I2 = Annotated[NDArray[np.int64], "I2"]
 
 
 class Graph(NamedTuple):
-    """The graph of clusters of n atoms with m constraints, and the e nonzero entries of the Cholesky factor of A."""
+    """The graph of clusters of n atoms with m constraints.
+
+    The Cholesky factor of the matrix A of `compiled.clusters` has e nonzero entries.
+    """
 
     inverse: F1  #: inverse masses of the atoms (n,)
     pairs: I2  #: the two atoms of each constraint (m, 2)
-    lengths: F1  #: of the constraints (m,)
+    lengths: F1  #: lengths of the constraints (m,)
     weights: F1  #: B_cd of each entry (e,), row by row, the diagonal last
     rows: I1  #: first entry of each row (m + 1,)
     columns: I1  #: column of each entry (e,)
@@ -34,19 +37,19 @@ class Graph(NamedTuple):
 
 
 class Bodies(NamedTuple):
-    """Bodies; those that rotate come first."""
+    """Rigid bodies, of which those that rotate come first."""
 
     mass: F1  #: (N,)
-    moments: F2  #: of those that turn (3, 1) or (3, K)
-    constants: F2  #: of their free rotation, see `openmm_exactrb.rotors.exact.constants`
+    moments: F2  #: principal moments of the bodies that rotate, (3, 1) or (3, K)
+    constants: F2  #: constants of their free rotation, see `openmm_exactrb.rotors.exact.constants`
 
 
 class Particles(NamedTuple):
-    """The particles of bodies, one body after the other."""
+    """The particles of bodies, ordered by body."""
 
     starts: I1  #: the first particle of each body (N + 1,)
-    rows: I1  #: of the particles in arrays (n, 3) of all of a System
-    sites: F2  #: the place of each particle in its body (n, 3), which counts in those that turn
+    rows: I1  #: row of each particle in arrays of all particles of a System (n,)
+    sites: F2  #: the position of each particle in its body (n, 3), used for bodies that rotate
 
 
 class Terms(NamedTuple):
@@ -61,6 +64,6 @@ class Terms(NamedTuple):
     pairs: I2
     of_pairs: F2  #: products of charges in kJ nm/mol, sigmas and epsilons (3, .)
     impropers: I2
-    of_impropers: F2  #: angles, strengths k of k (phi - phi0)², and the circle, as OpenMM's formulas have it (3, .)
-    maps: I2  #: particles of two torsions, first patch of a map, and how many it has in each direction (., 10)
+    of_impropers: F2  #: phi0, k of k (phi - phi0)², and the period of phi in OpenMM's formula (3, .)
+    maps: I2  #: particles of two torsions, first patch of a map, and its number of patches per direction (., 10)
     patches: F3  #: coefficients of bicubic polynomials, highest powers first (., 4, 4)

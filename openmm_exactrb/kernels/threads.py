@@ -1,4 +1,4 @@
-"""Loops shared among threads."""
+"""Loops that are divided among threads."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def cores() -> int:
 
 
 def in_threads(function: Callable[[int, int], None], work: NDArray[np.int64], threads: int) -> None:
-    """Call ``function(first, last)`` in several threads, on ranges of items with about equal total work (n,)."""
+    """Call ``function(first, last)`` in several threads, on ranges of items with similar sums of `work` (n,)."""
     if threads == 1:
         function(0, len(work))
         return
@@ -35,5 +35,5 @@ def in_threads(function: Callable[[int, int], None], work: NDArray[np.int64], th
 
 @cache
 def _pool(process: int) -> ThreadPoolExecutor:
-    """Return the thread pool of a process; a forked process needs its own."""
+    """Return the thread pool of a process; a forked process needs a new pool."""
     return ThreadPoolExecutor(max(1, cores() - 1), f"openmm-exactrb-{process}")

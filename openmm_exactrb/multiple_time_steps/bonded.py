@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from openmm_exactrb.openmm_access import parameters
 from openmm_exactrb.support.types import Array, Indices
 
-#: What the bonded forces of a System are.
+#: The types of bonded forces.
 BONDED_FORCES = (
     openmm.HarmonicBondForce,
     openmm.HarmonicAngleForce,
@@ -24,17 +24,17 @@ BONDED_FORCES = (
     openmm.CustomAngleForce,
     openmm.CustomTorsionForce,
 )
-#: Coulomb's constant in kJ nm/mol/e², from the numbers that OpenMM makes its own of.
+#: Coulomb's constant in kJ nm/mol/e², from the same constants of nature as in OpenMM.
 COULOMB = (1.602176634e-19) ** 2 * 6.02214076e23 * 1e6 / (4.0 * math.pi * 8.8541878128e-12)
 #: The formula of exceptions of a NonbondedForce.
 PAIR = f"{COULOMB!r}*charges/r + 4*epsilon*((sigma/r)^12 - (sigma/r)^6)"
-#: That of pairs three bonds apart in OpenMM's CHARMM force fields, without blanks.
+#: The formula of pairs three bonds apart in OpenMM's CHARMM force fields, without blanks.
 LENNARD_JONES = re.compile(r"([\d.]+)\*epsilon\*\(\(sigma/r\)\^12-\(sigma/r\)\^6\)")
-# Which of the whole numbers of a term are particles, if not all.
+# The integers of a term that are particles, for forces with further integers.
 _PARTICLES = {openmm.PeriodicTorsionForce: slice(0, 4), openmm.CMAPTorsionForce: slice(1, 9)}
-# The terms in the XML of a force, of torsions and maps too.
+# The lists of terms in the XML of a force; maps are listed as torsions.
 _LISTS = re.compile(r"<(Bonds|Angles|Torsions)>.*?</\1>", re.DOTALL)
-# What acts between steps has no forces on atoms.
+# These act between steps and exert no forces on atoms.
 _NO_FORCES = ("AndersenThermostat", "CMMotionRemover")
 _GROUPS = 32
 _CUSTOM = openmm.CustomBondForce, openmm.CustomAngleForce, openmm.CustomTorsionForce
@@ -55,12 +55,12 @@ def separate_bonded(system: openmm.System) -> int:
     Returns
     -------
     int
-        The number of this group.
+        The number of this force group.
 
     Raises
     ------
     ValueError
-        If the argument is not a System, or every group contains other forces.
+        If the argument is not a System, or if every force group contains forces that are not bonded.
     """
     if not isinstance(system, openmm.System):
         raise ValueError(
@@ -79,13 +79,13 @@ def separate_bonded(system: openmm.System) -> int:
 
 
 class Bonded(NamedTuple):
-    """Bonds, angles or torsions with the form and the group of a force, which may have other terms.
+    """Some or all of the bonds, angles or torsions of a force, with its functional form and force group.
 
     Attributes
     ----------
     force : openmm.Force
     whole : (n, k) array
-        Integers of each term, including particles, in OpenMM's order.
+        Integers of each term, including its particles, in OpenMM's order.
     numbers : (n, m) array
     """
 
@@ -104,17 +104,17 @@ class Bonded(NamedTuple):
         return self.whole[:, _PARTICLES.get(type(self.force), slice(None))]
 
     def chosen(self, which: NDArray[np.bool_]) -> Bonded:
-        """Return selected terms (n,)."""
+        """Return the terms that a mask (n,) selects."""
         return self._replace(whole=self.whole[which], numbers=self.numbers[which])
 
     def numbered(self, number: NDArray[Any]) -> Bonded:
-        """Return the terms with renumbered particles."""
+        """Return the terms with renumbered particles; `number` maps old numbers to new ones."""
         there = self._replace(whole=self.whole.copy())
         there.particles[:] = number[self.particles]
         return there
 
     def made(self) -> Any:
-        """Return a force with these terms alone."""
+        """Return an OpenMM force that has only these terms."""
         force = openmm.XmlSerializer.deserialize(_LISTS.sub(r"<\1/>", openmm.XmlSerializer.serialize(self.force)))
         add = next(getattr(force, name) for name in ("addBond", "addAngle", "addTorsion") if hasattr(force, name))
         custom = isinstance(force, _CUSTOM)
@@ -124,19 +124,19 @@ class Bonded(NamedTuple):
 
 
 def interacting_exceptions(force: openmm.NonbondedForce) -> Bonded:
-    """Return the interacting exceptions of a force, as bonds of a formula in its group."""
+    """Return the interacting exceptions of a force, as bonds with the formula `PAIR` in the group of the force."""
     whole, numbers = parameters.exceptions(force)
     which = (numbers[:, 0] != 0.0) | (numbers[:, 2] != 0.0)
-    which &= force.getIncludeDirectSpace()  # where OpenMM has them
+    which &= force.getIncludeDirectSpace()  # otherwise OpenMM omits exceptions
     return Bonded(_pair_force(force), whole[which], numbers[which])
 
 
 def _pair_force(force: openmm.NonbondedForce) -> openmm.CustomBondForce:
-    """Return an empty force with the form and the group of the exceptions of a NonbondedForce."""
+    """Return a force without terms, with the functional form and the group of the exceptions of a NonbondedForce."""
     apart = openmm.CustomBondForce(PAIR)
     for name in ("charges", "sigma", "epsilon"):
         apart.addPerBondParameter(name)
-    cut = force.getNonbondedMethod() != openmm.NonbondedForce.NoCutoff  # without, OpenMM ignores what follows
+    cut = force.getNonbondedMethod() != openmm.NonbondedForce.NoCutoff  # without a cutoff, OpenMM ignores the next flag
     apart.setUsesPeriodicBoundaryConditions(cut and force.getExceptionsUsePeriodicBoundaryConditions())
     apart.setName(f"exceptions of {force.getName()}")
     apart.setForceGroup(force.getForceGroup())
@@ -160,6 +160,6 @@ def others(system: openmm.System) -> bool:
 
 
 def groups_of(force: Any) -> set[int]:
-    """Return the force groups of a force: two if the reciprocal part of an Ewald sum has its own."""
+    """Return the force groups of a force: two if the reciprocal part of an Ewald sum has a separate group."""
     own = getattr(force, "getReciprocalSpaceForceGroup", lambda: -1)()
     return {force.getForceGroup()} | ({own} if own >= 0 else set())

@@ -1,4 +1,4 @@
-"""The usual bonded forces of an excerpt, computed without OpenMM, whose calls take longer than these few terms."""
+"""The usual bonded forces of an excerpt, computed by a kernel: for few terms, calls of OpenMM would take longer."""
 
 from __future__ import annotations
 
@@ -21,16 +21,17 @@ from openmm_exactrb.multiple_time_steps.bonded import COULOMB, LENNARD_JONES, PA
 from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.support.types import Array, Indices
 
-# Harmonic torsions of OpenMM's CHARMM force fields, without blanks: on a circle, or on the line from -pi to pi.
+# Formulas of harmonic torsions in OpenMM's CHARMM force fields, without blanks: on the line from -pi to pi, or on a
+# circle.
 _HARMONIC = re.compile(
     r"k\*\(theta-theta0\)\^2|k\*min\(dtheta,2\*pi-dtheta\)\^2;dtheta=abs\(theta-theta0\);pi=([\d.]+);?"
 )
 _PARAMETERS = {LENNARD_JONES: {"sigma", "epsilon"}, _HARMONIC: {"k", "theta0"}}
-# A circle so large that no difference of angles is half of it.
+# The period on the line: so long that no difference of angles reaches half of it.
 _LINE = 1e9
 
 
-#: No terms at all.
+#: Empty arrays of terms of all kinds.
 NO_TERMS = Terms(
     *(np.zeros((0, 2), np.int64), np.zeros((2, 0))),
     *(np.zeros((0, 3), np.int64), np.zeros((3, 0))),
@@ -42,7 +43,7 @@ NO_TERMS = Terms(
 
 
 class BondedForces(ContextForces):
-    """Forces like `ContextForces`, by a compiled kernel; energies are OpenMM's."""
+    """`ContextForces` that a compiled kernel evaluates; energies are evaluated by OpenMM."""
 
     def __init__(self, terms: Terms, positions: Positions, groups: int, timings: Timings, counter: str) -> None:
         super().__init__(positions, groups, timings, counter)
@@ -50,14 +51,14 @@ class BondedForces(ContextForces):
 
     @property
     def known(self) -> Force | None:
-        """A copy of the forces and torques at the present positions, if known."""
+        """A copy of the forces and torques at the present positions, or None if they are unknown."""
         if self._version != self.positions.version:
             return None
         force, torque = self._value
         return force.copy(), torque.copy()
 
     def moved(self, evaluations: int, value: Force | None) -> None:
-        """Record that a kernel moved the bodies, and the forces at their new positions if known."""
+        """Record that a kernel moved the bodies, its number of force evaluations and forces at the new positions."""
         self._add_evaluations(evaluations)
         self.positions.version += 1
         if value is not None:
@@ -74,7 +75,7 @@ class BondedForces(ContextForces):
 
 
 def terms_of(forces: Sequence[Bonded], groups: int) -> Terms | None:
-    """Return the terms of forces in given groups (bits), None if they contain forces of other forms."""
+    """Return the terms of forces in given groups (bits), or None if a force has an unsupported form."""
     if unknown(forces):
         return None
     some = [force for force in forces if groups >> force.force.getForceGroup() & 1]
@@ -91,7 +92,7 @@ def terms_of(forces: Sequence[Bonded], groups: int) -> Terms | None:
 
 
 def unknown(forces: Iterable[Bonded]) -> str | None:
-    """Return the name of a force of another form, or None."""
+    """Return the name of the first force with an unsupported form, or None if there is no such force."""
     return next((of.force.getName() for of in forces if not _known(of.force)), None)
 
 
@@ -107,14 +108,14 @@ def _known(force: Any) -> bool:
 
 
 def _has(force: Any, formula: re.Pattern[str], name: Callable[[int], str]) -> bool:
-    """Return whether a force has a formula whose two parameters belong to each term."""
+    """Return whether a force has a given formula, with two parameters per term and no global parameters."""
     if force.getNumGlobalParameters() or _number(force, formula) is None:
         return False
     return {name(i) for i in range(2)} == _PARAMETERS[formula]
 
 
 def _number(force: Any, formula: re.Pattern[str]) -> float | None:
-    """Return the number in the formula of a force, None if the formula differs."""
+    """Return the number in the formula of a force, or None if the formula differs."""
     found = formula.fullmatch(force.getEnergyFunction().replace(" ", ""))
     return None if found is None else float(found[1] or 0.5 * _LINE)
 
@@ -151,7 +152,7 @@ def _of_impropers(torsions: Bonded) -> list[Array]:
 
 
 def _maps(forces: list[Bonded]) -> tuple[Indices, Array]:
-    """Return particles, first patch and patches per direction (M, 10), and the coefficients of patches (., 4, 4)."""
+    """Return particles, first patch and patches per direction (M, 10), and coefficients of all patches (., 4, 4)."""
     rows, patches = [np.zeros((0, 10), np.int64)], [np.zeros((0, 4, 4))]
     for of in forces:
         if isinstance(of.force, openmm.CMAPTorsionForce):
@@ -167,9 +168,9 @@ def _maps(forces: list[Bonded]) -> tuple[Indices, Array]:
 def _patches(size: int, energy: Array) -> Array:
     """Return the coefficients (size², 4, 4), highest powers first, of the periodic bicubic spline of a map (size²,).
 
-    The energy of the first angle i and the second angle j is at i + size j, in units of the circle's parts.
+    The entry i + size j of the map is the energy at the angles 2 pi i/size and 2 pi j/size.
     """
-    from scipy.interpolate import CubicSpline  # here, for a short import of the package
+    from scipy.interpolate import CubicSpline  # imported here, so that the package is imported faster
 
     at = np.linspace(0.0, 2.0 * np.pi, size + 1)
     closed = np.pad(energy.reshape(size, size).T, ((0, 1), (0, 1)), mode="wrap")
@@ -179,7 +180,7 @@ def _patches(size: int, energy: Array) -> Array:
 
 
 def _torsions(forces: list[Bonded]) -> tuple[Indices, Array]:
-    """Return particles (T, 4) and coefficients (2, N, T) of cosines and sines, merged for the same particles."""
+    """Return particles (T, 4) and coefficients (2, N, T) of cosines and sines, merged for each set of particles."""
     series = [series(of) for of in forces for kind, series in _SERIES.items() if isinstance(of.force, kind)]
     if not series:
         return np.zeros((0, 4), np.int64), np.zeros((2, 0, 0))
@@ -192,13 +193,13 @@ def _torsions(forces: list[Bonded]) -> tuple[Indices, Array]:
 
 
 def _of_cosines(torsions: Bonded) -> tuple[Indices, Indices, Array, Array]:
-    """Return particles, n, and coefficients of cos n phi and sin n phi for each term."""
+    """Return the particles, n, and the coefficients of cos n phi and sin n phi for each term."""
     phase, strength = torsions.numbers.T
     return torsions.particles, torsions.whole[:, 4], strength * np.cos(phase), strength * np.sin(phase)
 
 
 def _of_polynomials(torsions: Bonded) -> tuple[Indices, Indices, Array, Array]:
-    """Return the coefficients for polynomials in cos(phi - pi)."""
+    """Return the results of `_of_cosines` for torsions whose energies are polynomials in cos(phi - pi)."""
     as_cosines = np.array([np.polynomial.chebyshev.poly2cheb(row).tolist() + [0.0] * (5 - k) for k, row in _POWERS])
     signs = (-1.0) ** np.arange(6)
     cosines = (torsions.numbers @ as_cosines * signs).ravel()

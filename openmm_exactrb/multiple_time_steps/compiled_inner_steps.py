@@ -1,4 +1,4 @@
-"""Inner steps of a drift in one call of a kernel."""
+"""The inner steps of a drift, performed by one call of a compiled kernel."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from openmm_exactrb.support.types import Array, Indices
 
 
 class CompiledInnerSteps:
-    """The drift of `inner_steps` in `inner_drift`, by the exact rotor and compiled bonded forces."""
+    """The drift of `inner_drift.inner_steps`, performed with the exact rotor and compiled bonded forces."""
 
     def __init__(
         self,
@@ -65,13 +65,13 @@ class CompiledInnerSteps:
 
 
 def _as_arrays(sequence: Sequence) -> tuple[Indices, Array]:
-    """Return which substeps are kicks, and their fractions."""
+    """Return a mask of the substeps that are kicks, and the fractions of all substeps."""
     kicks = np.array([substep == KICK for substep, _ in sequence], dtype=np.int64)
     return kicks, np.array([part for _, part in sequence])
 
 
 def _packed(clusters: Clusters, first: int) -> tuple[Indices, Graph]:
-    """Return the first columns of the kinds of clusters, from `first` on, and their concatenated graphs."""
+    """Return the kernel's table of the kinds of clusters, from column `first` on, and their concatenated graphs."""
     graphs = [kind.graph for kind in clusters.kinds]
     begins = [(len(g.inverse), len(g.pairs), len(g.columns), len(g.rows), len(g.starts), len(g.left)) for g in graphs]
     places = np.zeros((len(graphs) + 1, 8), dtype=np.int64)

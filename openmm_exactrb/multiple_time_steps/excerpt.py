@@ -1,6 +1,6 @@
-"""The bonded forces of a System, and its exceptions, restricted to the particles on which they act.
+"""The bonded forces and the exceptions of a System, restricted to the particles on which they act.
 
-These are few compared with those of a solvent, and the System of the user is unchanged.
+These particles are few compared with those of a solvent. The System of the user is not changed.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ class Excerpt:
     ----------
     whole : openmm.System
     forces : sequence of Bonded
-        These forces, with particles of the whole System.
+        The selected forces, with the particle indices of the whole System.
     particles : (n,) array of int
-        The particles on which they act.
+        The indices of the particles on which these forces act, and of all other particles of their bodies.
     bodies : RigidBodies
         All bodies of the whole System.
     """
@@ -42,18 +42,18 @@ class Excerpt:
 
     @cached_property
     def part(self) -> Part:
-        """The bodies that consist of these particles, numbered as in `system`."""
+        """The bodies that consist of these particles, which are numbered as in `system`."""
         chosen = self.bodies.touched(self.particles)
         return Part(self.bodies.chosen(chosen, self._number, len(self.particles)), chosen)
 
     @cached_property
     def numbered(self) -> Sequence[Bonded]:
-        """The forces, numbered as in `system`."""
+        """The forces, with particles numbered as in `system`."""
         return [force.numbered(self._number) for force in self.forces]
 
     @cached_property
     def system(self) -> openmm.System:
-        """A System of these forces and particles, for OpenMM to evaluate them."""
+        """A System of these particles, in which OpenMM evaluates these forces."""
         own, number = openmm.System(), self._number
         for mass in parameters.masses(self.whole)[self.particles].tolist():
             own.addParticle(mass)
@@ -68,7 +68,7 @@ class Excerpt:
 
     @cached_property
     def _number(self) -> Indices:
-        """The number of each particle of the whole System in `system`, or -1."""
+        """The index in `system` of each particle of the whole System, or -1."""
         number = np.full(self.whole.getNumParticles(), -1)
         number[self.particles] = np.arange(len(self.particles))
         return number
@@ -77,8 +77,8 @@ class Excerpt:
 def bonded_excerpt(system: openmm.System, bodies: RigidBodies, groups: Collection[int] | None = None) -> Excerpt | None:
     """Return the bonded forces and the exceptions of NonbondedForces that move bodies relative to each other.
 
-    With groups, only bonded forces in these groups are returned, and no exceptions. Terms on virtual sites are
-    excluded. Without bonded forces the result is empty: None.
+    If `groups` are given, only bonded forces in these groups are returned, without exceptions. Terms on virtual sites
+    are excluded. The function returns None if there are no such bonded forces.
     """
     sites = np.array([*map(system.isVirtualSite, range(system.getNumParticles()))], dtype=bool)
     own = [force for force in system.getForces() if isinstance(force, BONDED_FORCES)]
@@ -89,12 +89,12 @@ def bonded_excerpt(system: openmm.System, bodies: RigidBodies, groups: Collectio
     every = [force for force in system.getForces() if groups is None and isinstance(force, openmm.NonbondedForce)]
     forces += _acting(map(interacting_exceptions, every), bodies.owner, sites)
     touched = np.flatnonzero(np.bincount(np.concatenate([force.particles.ravel() for force in forces])))
-    members = np.flatnonzero(np.append(bodies.touched(touched), False)[bodies.owner])  # the last is that of no body
+    members = np.flatnonzero(np.append(bodies.touched(touched), False)[bodies.owner])  # -1: no body
     return Excerpt(system, forces, np.union1d(members, touched), bodies)
 
 
 def _acting(forces: Any, owner: Indices, sites: NDArray[np.bool_]) -> list[Bonded]:
-    """Return the terms between different bodies and without virtual sites, of forces that have any."""
+    """Return the terms of forces that connect different bodies and involve no virtual sites."""
     found = []
     for force in forces:
         bodies = owner[force.particles]

@@ -22,14 +22,16 @@ from openmm_exactrb.substeps import DRIFT, KICK, Drift, GradientKick, HeatExchan
 from openmm_exactrb.support.checks import whole
 from openmm_exactrb.support.warn import warn
 
-# Inner schemes, and the longest time between two kicks of the fast forces over the period of the fastest bond or angle:
-# for outer schemes of order 2, and for those of higher order or with force gradients. High-order outer schemes need a
-# finer inner scheme: with S2_2, or with SRKN4_6b at 20 kicks per period, the inner error dominated at 2000 outer force
-# evaluations per ps (docs: Any molecule). Schemes with a thermostat within are for averages, to which the energy error
-# matters less: by 0.08 the mean energy of the fastest bond is half a percent too low, that of others less.
+# Inner schemes, and the longest time between two kicks by the fast forces as a fraction of the period of the fastest
+# bond or angle: for outer schemes of order 2, for those of higher order or with force gradients, and for those of order
+# 2 with a heat exchange within the step. High-order outer schemes need a finer inner scheme: with S2_2, or with
+# SRKN4_6b at 20 kicks per period, the inner error dominated at 2000 outer force evaluations per ps (docs: Any
+# molecule). Schemes with a heat exchange within the step serve for averages, for which the energy error matters less:
+# with 0.08, the mean energy of the fastest bond is half a percent too low, and the mean energies of other bonds deviate
+# less.
 _SECOND_ORDER, _HIGHER_ORDER, _WITH_HEAT_EXCHANGE = ("S2_2", 0.05), ("SRKN4_6b", 0.0125), ("S2_2", 0.08)
-# A force evaluation each such part of the period or more often, and every scheme shows its order and little error with
-# bonded forces among the others: 1.5 fs where bonds to hydrogen are held, 0.6 fs where they are not.
+# The longest time between force evaluations, as a fraction of the fastest period, at which every scheme shows its order
+# and a small error without inner steps: 1.5 fs if bonds to hydrogen are constrained, otherwise 0.6 fs.
 _LONGEST_PLAIN = 1.0 / 16.0
 
 _NO_PERIOD = (
@@ -37,7 +39,7 @@ _NO_PERIOD = (
     "is unknown: set the number of inner steps per step with innerSteps="
 )
 _NO_INNER_STEPS = "there are no inner steps: "
-#: What `fast` may be instead of force groups: bonded forces where that helps; wherever there are some.
+#: Values of `fast` other than force groups: bonded forces are fast where this is useful, or wherever they exist.
 AUTO, BONDED = "auto", "bonded"
 
 
@@ -48,11 +50,12 @@ class MultipleTimeSteps:
     Attributes
     ----------
     fast : "auto", "bonded" or tuple of int
-        Bonded forces and exceptions, if useful or always, or force groups.
+        With "auto", bonded forces and exceptions are fast where this is useful; with "bonded", they are always fast. A
+        tuple contains the fast force groups.
     scheme : Scheme or None
         Scheme of the inner steps; None for the default of the outer scheme.
     steps : int or None
-        Inner steps per step; None for the number that the fastest bonds need.
+        Number of inner steps per step; None for the number that the fastest bonds need.
     """
 
     fast: str | tuple[int, ...]
@@ -63,7 +66,7 @@ class MultipleTimeSteps:
     def of(
         cls, fast: str | Sequence[int] | None, inner: str | Scheme | None, steps: int | None
     ) -> MultipleTimeSteps | None:
-        """Return settings from an integrator's arguments, None for no fast forces; raise ValueError if inconsistent."""
+        """Return settings for an integrator's arguments, or None if fast=None; raise ValueError for invalid ones."""
         scheme = None if inner is None else look_up(inner)
         if scheme is not None and ({substep for substep, _ in scheme.sequence} != {DRIFT, KICK} or scheme.processor):
             raise ValueError(
@@ -76,24 +79,24 @@ class MultipleTimeSteps:
                 raise ValueError('inner and innerSteps need fast forces: set them with fast="bonded", for example')
             return None
         if isinstance(fast, str) and fast == AUTO and (scheme or steps):
-            fast = BONDED  # somebody who gives a number of inner steps wants them
+            fast = BONDED  # settings of inner steps are a request for them
         return cls(fast if isinstance(fast, str) and fast in (AUTO, BONDED) else _groups(fast), scheme, steps)
 
     @property
     def asked_for(self) -> bool:
-        """Whether inner steps were requested for any System."""
+        """Whether inner steps were requested, so that they are used for every System."""
         return self.fast != AUTO
 
     @staticmethod
     def arguments(settings: MultipleTimeSteps | None) -> dict[str, Any]:
-        """Return the arguments of an integrator with these settings."""
+        """Return the keyword arguments of an integrator with these settings."""
         if settings is None:
             return {"fast": None}
         return {"fast": settings.fast, "inner": settings.scheme, "innerSteps": settings.steps}
 
 
 def _groups(fast: Any) -> tuple[int, ...]:
-    """Return the distinct force groups of the argument."""
+    """Return the sorted force groups of the argument `fast`; raise ValueError for any other argument."""
     try:
         groups = {operator.index(group) for group in fast}
     except TypeError:  # a number, a force, or names
@@ -116,7 +119,7 @@ class FastForces:
     frequency : float
         The highest frequency of the fast forces, in 1/ps.
     excerpt : Excerpt or None
-        The bonded forces, if these are the fast forces; otherwise the fast forces are those of groups.
+        The bonded forces if these are fast, or None if the fast forces are defined by force groups.
     """
 
     settings: MultipleTimeSteps
@@ -125,20 +128,20 @@ class FastForces:
 
     @property
     def named(self) -> tuple[int, ...]:
-        """The force groups of the fast forces, if named."""
+        """The fast force groups that the user named, or an empty tuple if bonded forces are fast."""
         return () if isinstance(self.settings.fast, str) else self.settings.fast
 
     @property
     def groups(self) -> int:
-        """The force groups as bits."""
+        """The named force groups, as bits."""
         return sum(1 << group for group in self.named)
 
     def inner(self, outer: Scheme) -> Scheme:
-        """Return the inner scheme of an outer one."""
+        """Return the inner scheme for an outer scheme."""
         return self.settings.scheme or look_up(_usual(outer)[0])
 
     def repetitions(self, outer: Scheme, h: float) -> Callable[[float], int]:
-        """Return a function of the time of a drift (ps): its inner steps, in steps of h (ps) of the outer scheme."""
+        """Return a function of the time of a drift (ps): the number of inner steps in it, for outer steps of h (ps)."""
         if self.settings.steps:
             rate = self.settings.steps / abs(h) if h else 0.0
             return cache(lambda tau: max(1, round(rate * abs(tau))))
@@ -146,11 +149,11 @@ class FastForces:
         return cache(lambda tau: max(1, math.ceil(rate * abs(tau))))
 
     def acts(self, outer: Scheme, h: float) -> bool:
-        """Return whether there are inner steps in steps of h (ps).
+        """Return whether steps of h (ps) of an outer scheme contain inner steps.
 
-        There are inner steps if they were requested, or if the outer scheme evaluates forces too rarely for bonded
-        forces and has only substeps of this package. A ValueError is raised if a kick applies a fast force group, or
-        one that may contain bonded forces if these are fast.
+        Inner steps are used if they were requested, or if the outer scheme consists of substeps of this package and its
+        force evaluations are too far apart for bonded forces. A ValueError is raised if a kick by a single force group
+        applies a fast group, or may apply bonded forces that are fast.
         """
         groups = sorted({s.group for s, _ in outer.sequence if isinstance(s, Kick) and s.group is not None})
         if self.settings.fast == BONDED and groups:
@@ -178,17 +181,18 @@ def _usual(outer: Scheme) -> tuple[str, float]:
 
 
 def fast_forces(system: openmm.System, bodies: RigidBodies, settings: MultipleTimeSteps | None) -> FastForces | None:
-    """Find the fast forces of a System.
+    """Return the fast forces of a System, or None if there are no fast forces.
 
     Raises
     ------
     ValueError
-        If the groups contain all forces, or ``innerSteps`` is needed but not given.
+        If all forces of the System are fast, or if ``innerSteps`` is required but not given.
 
     Warns
     -----
     UserWarning
-        If the groups contain no bonded forces, so that there are no inner steps unless their number is given.
+        If the named groups contain no bonded forces and no number of inner steps is given, so that there are no inner
+        steps.
     """
     if settings is None:
         return None

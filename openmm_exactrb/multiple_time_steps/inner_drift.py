@@ -1,8 +1,8 @@
-"""Drifts with fast forces within them, in a Context: the inner steps of multiple time stepping.
+"""Drifts that include fast forces, in a Context: the inner steps of multiple time stepping.
 
-M. Tuckerman, B. J. Berne and G. J. Martyna, J. Chem. Phys. 97, 1990 (1992), doi:10.1063/1.463137: the drift of the
-outer scheme is the flow of the kinetic energy and of a potential, and is itself split. Bodies on which this potential
-does not act have a single drift.
+The drift of the outer scheme is the flow of the kinetic energy and of a fast potential, and is itself split: see M.
+Tuckerman, B. J. Berne and G. J. Martyna, J. Chem. Phys. 97, 1990 (1992), doi:10.1063/1.463137. Bodies on which the fast
+potential does not act have a single drift.
 """
 
 from __future__ import annotations
@@ -56,11 +56,11 @@ class InnerDrift:
         scheme: Scheme,
         h: float,
     ) -> tuple[Flow[State], Mapping[str, Flow[State]], EvaluatedForces]:
-        """Return the drifts with fast forces, and the remaining active forces for kicks.
+        """Return the drift of all bodies, drifts of subsets, and the active forces that remain for kicks.
 
-        The drifts are those of all bodies and, unless all have inner steps, the drifts of subsets as in
-        ``Kinetic.split``. timed(drift, passes=True) is a drift that moves the positions of the Context and, if
-        `passes`, advances its time; h (ps) is the step of the scheme.
+        The drifts include the fast forces. The subsets are those of ``Kinetic.split``; there are no subsets if all
+        bodies have inner steps. The function timed(drift, passes=True) returns a drift that marks the positions of the
+        Context as changed and, if `passes`, advances its time; h (ps) is the step of the scheme.
         """
         inner, repetitions = self.fast.inner(scheme).sequence, self.fast.repetitions(scheme, h)
         if self._own is None:
@@ -107,7 +107,10 @@ class InnerDrift:
         return inner_steps(_followed_by(own.moved, self._free.drift), fast_kick, inner, repetitions), fast
 
     def _of_others(self, kinetic: Kinetic) -> Flow[State]:
-        """Return a drift that is valid for bodies outside of the excerpt; that of rigid bodies is cheaper."""
+        """Return a drift that is valid for bodies outside of the excerpt.
+
+        If possible, this is the drift of rigid bodies, which is cheaper.
+        """
         clusters_outside = len(self._part.clusters) < len(self._bodies.clusters)
         return kinetic.drift if clusters_outside or not only_distances() else self._rigid.drift
 
@@ -115,9 +118,9 @@ class InnerDrift:
 def inner_steps(
     drift: Flow[State], fast_kick: Flow[State], sequence: Sequence, repetitions: Callable[[float], int]
 ) -> Flow[State]:
-    """Return a drift that consists of inner steps, with a sequence of drifts and kicks by the fast forces.
+    """Return a drift that consists of inner steps; each is a sequence of drifts and kicks by the fast forces.
 
-    repetitions(tau) is the number of inner steps in a drift of this time.
+    repetitions(tau) is the number of inner steps in a drift over tau (ps).
     """
     flows: dict[Substep, Flow[State]] = {DRIFT: drift, KICK: fast_kick}
 
@@ -141,9 +144,10 @@ def _followed_by(notice: Callable[[], None], drift: Flow[State]) -> Flow[State]:
 
 
 class ExcerptPositions(Positions):
-    """Positions of an excerpt in its own Context, with box, parameters and massless particles of the whole System.
+    """Positions of an excerpt in a separate Context, with box, parameters and massless particles of the whole System.
 
-    They are updated whenever those of the whole System have changed, except by the excerpt's own drift.
+    Box, parameters and massless particles are updated whenever the positions of the whole System have changed, except
+    after the drift of the excerpt itself.
     """
 
     def __init__(self, excerpt: Excerpt, sync: Synchronisation) -> None:
@@ -156,7 +160,7 @@ class ExcerptPositions(Positions):
 
     @property
     def version(self) -> int:
-        """The version, which follows that of the positions of the whole System."""
+        """The version of the positions, which also changes when the positions of the whole System change."""
         if self._seen != self._whole.version:
             self.keep_up()
             self._count += 1
@@ -170,5 +174,5 @@ class ExcerptPositions(Positions):
         self._count = count
 
     def keep_up(self) -> None:
-        """Record that the present positions agree with the whole System."""
+        """Record that the present positions agree with those of the whole System."""
         self._seen = self._whole.version

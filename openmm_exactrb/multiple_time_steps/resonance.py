@@ -1,4 +1,4 @@
-"""Resonances of multiple time steps: slow forces drive fast motion if a step is a multiple of its half period.
+"""Resonances of multiple time steps: slow forces drive a fast motion if a step is a multiple of half its period.
 
 J. J. Biesiadecki and R. D. Skeel, J. Comput. Phys. 109, 318 (1993), doi:10.1006/jcph.1993.1220.
 """
@@ -21,35 +21,36 @@ from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.substeps import DRIFT
 from openmm_exactrb.support.warn import warn
 
-# Stiffness of slow forces in kJ/mol/nm²: that of a hydrogen in water, whose librations have 112/ps.
+# Stiffness of slow forces in kJ/mol/nm²: that of hydrogen in water, whose librations have a frequency of 112/ps.
 _SLOW = 112.0**2
-# Growth of amplitudes in 1/ps that matters: friction of 5/ps takes as much away.
+# The relevant growth rate of amplitudes in 1/ps, which friction of 5/ps compensates.
 _GROWTH = 2.5
-# Fastest normal modes of alanine dipeptide over the fastest bond or angle alone, in periods; a bond to an atom as
-# light as hydrogen, or hydrogen made heavier, is a mode alone.
+# The period of the fastest normal mode of alanine dipeptide relative to that of its fastest isolated bond or angle, and
+# the largest mass (amu) of an atom whose bond is a mode of its own: hydrogen, also if made heavier.
 _COUPLED, _LIGHT = 0.8, 4.0
-_HEAVY = 2.5  # amu: hydrogen, or deuterium, that could be heavier
+_HEAVY = 2.5  # in amu; hydrogen and deuterium below this mass could be made heavier
 _HARMONICS = 6
 
 
 class Resonance(NamedTuple):
-    """The shortest step (ps) at which slow forces drive a mode, its period (ps), and particles of the bond or angle."""
+    """The shortest step (ps) at which slow forces drive a mode, the period of the mode (ps), and its particles."""
 
     step: float
     period: float
     particles: tuple[int, ...]
 
     def below(self, scheme: Scheme) -> float:
-        """Return an interval between forces below the resonance, in ps, rounded to tenths of a femtosecond."""
+        """Return the interval (ps) between force evaluations at the resonance, rounded down to a multiple of 0.1 fs."""
         return math.floor(1e4 * self.step / scheme.forces) * 1e-4
 
 
 def growth(scheme: Scheme, k: int) -> float:
-    """Return the growth rate of an oscillator of the frequency w at w h = k pi, for a slow force of unit strength.
+    """Return the growth rate of an oscillator of frequency w at w h = k pi, in units of s/(m w) for a slow spring s.
 
-    Kicks b_j at the times c_j h of a step modulate the spring s of a slow force in time, with a k-th harmonic of s
-    times the modulus of sum_j b_j exp(2 pi i k c_j). It drives an oscillator of the mass m and the frequency w at twice
-    that frequency: amplitudes grow at the rate of this harmonic over 2 m w, for which this is 1/2 of its sum.
+    Kicks b_j at the times c_j h of a step modulate the spring constant s of a slow force in time. The modulus of the
+    k-th Fourier coefficient is s S_k, where S_k is the modulus of sum_j b_j exp(2 pi i k c_j). This harmonic drives an
+    oscillator of mass m and frequency w at twice the frequency w, so that amplitudes grow at the rate s S_k/(2 m w).
+    The function returns S_k/2.
     """
     places, kicks = [], []
     behind = accumulate((part if substep == DRIFT else 0.0 for substep, part in scheme.sequence), initial=0.0)
@@ -61,14 +62,14 @@ def growth(scheme: Scheme, k: int) -> float:
 
 
 class Resonances:
-    """The resonances of the bonds and angles in given force groups of a System, or in all.
+    """The resonances of the bonds and angles in given force groups of a System.
 
     Parameters
     ----------
     system : openmm.System
     groups : sequence of int
     forces : sequence of Bonded, optional
-        The relevant forces, by default all.
+        The forces with these bonds and angles; by default, all forces of the System.
     """
 
     def __init__(
@@ -79,11 +80,11 @@ class Resonances:
         self._modes, self._told = [*frequencies(system, groups, forces)], False
 
     def first(self, scheme: Scheme) -> Resonance | None:
-        """Return the resonance with the shortest step of a scheme; None if there is no relevant one.
+        """Return the resonance of a scheme at the shortest step, or None if no resonance is relevant.
 
-        A slow spring s in the kicks raises the square of the frequency w by s/m, and the mode is driven within the
-        growth rate of k pi/h on either side. Both are proportional to s/m, so a bond that is softer than the slow
-        forces is irrelevant.
+        A slow spring s in the kicks raises the square of the frequency w by s/m, and the mode is driven if w is within
+        the growth rate of k pi/h. Both effects are proportional to s/m, so a bond that is softer than the slow forces
+        is irrelevant.
         """
         rates, found = np.array([growth(scheme, k) for k in range(1, _HARMONICS + 1)]), []
         for frequency, particles in self._modes:
@@ -100,7 +101,7 @@ class Resonances:
         return min(found, default=None)
 
     def warn(self, scheme: Scheme, step: float) -> None:
-        """Warn once of steps (ps) beyond the first resonance."""
+        """Warn once if the step (ps) of a scheme is beyond the first resonance."""
         found = None if self._told else self.first(scheme)
         if found is None or step <= found.step:
             return
@@ -117,7 +118,7 @@ class Resonances:
         )
 
     def _remedy(self, particles: tuple[int, ...]) -> str:
-        """Return the remedy that slows or constrains a bond or angle, empty for one without hydrogen."""
+        """Return advice to slow or constrain a bond or angle, or an empty text if it contains no hydrogen."""
         mass = self._mass[list(particles)].min()
         if len(particles) == 2 and mass <= _LIGHT:
             return "constrain bonds to hydrogen (constraints=HBonds), "

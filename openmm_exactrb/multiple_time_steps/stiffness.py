@@ -1,4 +1,4 @@
-"""The frequencies of bonds and angles."""
+"""Estimates of the frequencies of bonds and angles."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from openmm_exactrb.multiple_time_steps.bonded import LENNARD_JONES, PAIR, Bonde
 from openmm_exactrb.openmm_access import arrays, parameters
 from openmm_exactrb.support.types import Array, Indices
 
-# Lengths (nm) among which the minimum of a bond is looked for.
+# Lengths (nm) at which the minimum of a bond is sought.
 _LENGTHS = np.linspace(0.05, 0.3, 251)
 _SPRINGS = openmm.HarmonicBondForce, openmm.HarmonicAngleForce, openmm.CustomBondForce
 
@@ -25,28 +25,28 @@ def fastest(system: openmm.System, groups: Sequence[int] = range(32), forces: Se
 def frequencies(
     system: openmm.System, groups: Sequence[int] = range(32), forces: Sequence[Bonded] | None = None
 ) -> Iterator[tuple[Array, Indices]]:
-    """Estimate the frequencies of harmonic bonds and angles, and of bonds with formulas, in some force groups or all.
+    """Estimate the frequencies of harmonic bonds and angles, and of bonds with formulas, in given force groups.
 
     Each bond and angle is treated individually; constrained ones are ignored. A bond defined by a formula is included
-    if it has a minimum at the length of a chemical bond. `forces` are those of the System by default.
+    if its energy has a minimum at the length of a chemical bond. By default, `forces` are the forces of the System.
 
     Yields
     ------
     frequency : (n,) array
-        In 1/ps.
+        Frequencies in 1/ps.
     particles : (n, 2) or (n, 3) array
-        The particles of bonds, or of angles.
+        The particles of each bond or angle.
     """
     if forces is None:
         forces = [Bonded.of(force) for force in system.getForces() if isinstance(force, _SPRINGS)]
     bonds = [(of.force.getForceGroup() in groups, *found) for of in forces if (found := _bonds(of)) is not None]
     held = parameters.constraints(system)
     constrained = _Lengths(*held).has
-    by_group = sorted(bonds, key=lambda bond: bond[0])  # those of the groups last, which count
+    by_group = sorted(bonds, key=lambda bond: bond[0])  # bonds in the groups come last and override the others
     pairs, lengths = zip(held, *((particles, r) for _, particles, r, _ in by_group), strict=True)
     known = _Lengths(np.concatenate(pairs), np.concatenate(lengths))
     masses = parameters.masses(system)
-    inverse = np.divide(1.0, masses, out=np.zeros_like(masses), where=masses != 0.0)  # frozen particles have 0
+    inverse = np.divide(1.0, masses, out=np.zeros_like(masses), where=masses != 0.0)  # 0 for frozen particles
     for own, particles, _, strength in bonds:
         if own:
             free = ~constrained(particles)
@@ -72,17 +72,17 @@ class _Lengths:
         return np.asarray((pairs.min(axis=1) << 32) + pairs.max(axis=1))
 
     def of(self, pairs: Indices) -> Array:
-        """Return the distances of pairs, nan for others."""
+        """Return the distances of pairs, or nan for pairs without a known distance."""
         place = np.searchsorted(self._sorted, keys := self._keys(pairs), side="right") - 1
         return np.where(np.append(self._sorted, -1)[place] == keys, self._values[place], np.nan)
 
     def has(self, pairs: Indices) -> NDArray[np.bool_]:
-        """Return a mask of the pairs that have a distance."""
+        """Return a mask of the pairs that have a known distance."""
         return ~np.isnan(self.of(pairs))
 
 
 def _of_angles(angles: Bonded, known: _Lengths, inverse: Array) -> Array:
-    """Return the squares of the frequencies of angles, nan if the length of a bond is unknown."""
+    """Return the squared frequencies of angles, or nan if the length of a bond is unknown."""
     (i, j, k), (angle, strength) = angles.particles.T, angles.numbers.T
     a, b = (known.of(angles.particles[:, own]) for own in ([0, 1], [2, 1]))
     a, b = np.where(a == 0.0, np.nan, a), np.where(b == 0.0, np.nan, b)
@@ -91,10 +91,10 @@ def _of_angles(angles: Bonded, known: _Lengths, inverse: Array) -> Array:
 
 
 def _bonds(bonds: Bonded) -> tuple[Indices, Array, Array] | None:
-    """Return the particles, lengths (nm) and strengths (kJ/mol/nm²) of bonds, None for other forces."""
+    """Return the particles, lengths (nm) and strengths (kJ/mol/nm²) of bonds, or None for other forces."""
     if isinstance(bonds.force, openmm.HarmonicBondForce):
         return bonds.particles, *bonds.numbers.T
-    # Pairs three bonds apart are no bonds: where their minima are these never come.
+    # Pairs three bonds apart are not bonds: they never reach the minima of their formulas.
     if isinstance(bonds.force, openmm.CustomBondForce):
         formula = bonds.force.getEnergyFunction()
         if formula != PAIR and not LENNARD_JONES.fullmatch(formula.replace(" ", "")):
@@ -103,10 +103,10 @@ def _bonds(bonds: Bonded) -> tuple[Indices, Array, Array] | None:
 
 
 def _bonds_by_formula(bonds: Bonded) -> tuple[Indices, Array, Array] | None:
-    """Return the data of bonds defined by a formula, from the zero of the force and the slope at this point."""
+    """Return the results of `_bonds` for bonds with a formula, from the zero of the force and its slope there."""
     if not len(bonds.whole):
         return None
-    forces = _at_lengths(bonds, _LENGTHS)  # positive ones pull
+    forces = _at_lengths(bonds, _LENGTHS)  # positive values attract
     turns = (forces[:-1] <= 0.0) & (forces[1:] > 0.0)
     slopes = np.diff(forces, axis=0) / np.diff(_LENGTHS)[:, None]
     found = np.flatnonzero(turns.any(axis=0))
@@ -115,7 +115,7 @@ def _bonds_by_formula(bonds: Bonded) -> tuple[Indices, Array, Array] | None:
 
 
 def _at_lengths(bonds: Bonded, lengths: Array) -> Array:
-    """Return dV/dr (lengths, bonds) in kJ/mol/nm of all bonds of a force, each alone with its particles."""
+    """Return dV/dr (lengths, bonds) in kJ/mol/nm of all bonds of a force, each isolated from the others."""
     n, system = len(bonds.whole), openmm.System()
     alone = bonds._replace(whole=np.arange(2 * n).reshape(n, 2)).made()
     alone.setUsesPeriodicBoundaryConditions(False)

@@ -1,7 +1,7 @@
 """Vectors of an OpenMM State as numpy arrays, without units.
 
-`State.getForces(asNumpy=True)` and similar methods spend some 12 microseconds on units and attributes, which matters if
-a force evaluation takes 40: their inner call is made directly.
+`State.getForces(asNumpy=True)` and similar methods spend about 12 microseconds on units and attributes, which matters
+if a force evaluation takes 40 microseconds. The inner calls of these methods are therefore used directly.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ def forces(state: openmm.State) -> Array:
 
 
 def surroundings(state: openmm.State) -> tuple[tuple[float, ...], dict[str, float]]:
-    """Return the box and the parameters, on which forces depend in addition to positions."""
+    """Return the box and the parameters of a State, on which forces depend in addition to positions."""
     return box(state), dict(state.getParameters())
 
 
 def take_parameters(context: openmm.Context, state: openmm.State) -> None:
-    """Give a Context the parameters of a State that both have, since forces may have been added after its creation."""
+    """Set parameters of a Context to those of a State, omitting parameters that only one of them has."""
     theirs = state.getParameters()
     for name in context.getParameters():
         if name in theirs:
@@ -45,7 +45,7 @@ def take_parameters(context: openmm.Context, state: openmm.State) -> None:
 
 
 def take_surroundings(context: openmm.Context, state: openmm.State) -> None:
-    """Give a Context the box and the parameters of a State."""
+    """Set the box and the parameters of a Context to those of a State."""
     context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
     take_parameters(context, state)
 
@@ -56,7 +56,7 @@ def box(state: openmm.State) -> tuple[float, ...]:
 
 
 def periodic_box(source: openmm.System | openmm.Context) -> Array | None:
-    """Return the box vectors (3, 3) of a Context, or the default of a System, in nm; None without a periodic box."""
+    """Return the box vectors (3, 3) of a Context, or the defaults of a System, in nm; None without a periodic box."""
     system = source if isinstance(source, openmm.System) else source.getSystem()
     if not system.usesPeriodicBoundaryConditions():
         return None
@@ -66,7 +66,7 @@ def periodic_box(source: openmm.System | openmm.Context) -> Array | None:
 
 
 def alike(rows: NDArray[Any]) -> tuple[Indices, Indices]:
-    """Return the first of each group of bit-identical rows, in order, and the group of each row."""
+    """Return the index of the first row of each group of bit-identical rows, in order, and the group of each row."""
     rows = np.ascontiguousarray(rows)
     keys = rows.view(np.dtype((np.void, rows.itemsize * rows.shape[1])))[:, 0]
     _, first, group = np.unique(keys, return_index=True, return_inverse=True)
@@ -74,6 +74,6 @@ def alike(rows: NDArray[Any]) -> tuple[Indices, Indices]:
 
 
 def _vectors(state: openmm.State, kind: int) -> Array:
-    values = np.empty((state._getNumParticles(), 3))  # noqa: SLF001  # OpenMM has no other door without units
+    values = np.empty((state._getNumParticles(), 3))  # noqa: SLF001  # OpenMM has no public method without units
     state._getVectorAsNumpy(kind, values)  # noqa: SLF001
     return values

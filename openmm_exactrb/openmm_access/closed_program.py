@@ -1,4 +1,4 @@
-"""The program of an integrator, which only this package writes: a user's own computations raise an error."""
+"""Protection of the program of an integrator, to which a user cannot add computations."""
 
 from __future__ import annotations
 

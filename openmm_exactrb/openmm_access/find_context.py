@@ -1,4 +1,4 @@
-"""The Context of an integrator, which OpenMM does not return."""
+"""A search for the Context of an integrator, for which OpenMM has no method."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import openmm
 def find_context(integrator: openmm.Integrator) -> openmm.Context:
     """Find the Context that was created with an integrator; raise ValueError if it does not exist yet."""
     context = _referring(integrator)
-    if context is None and gc.get_freeze_count():  # what is frozen refers to nothing, for the collector
+    if context is None and gc.get_freeze_count():  # the collector does not see references in frozen objects
         gc.unfreeze()
         context = _referring(integrator)
         gc.freeze()
@@ -23,7 +23,10 @@ def find_context(integrator: openmm.Integrator) -> openmm.Context:
 
 
 def _referring(integrator: Any) -> Any:
-    """Search only the referrers of the integrator: a list of all objects breaks tuples that other threads create."""
+    """Return the Context that refers to an integrator, or None.
+
+    Only referrers are searched, because a list of all objects breaks tuples that other threads create.
+    """
     for referrer in gc.get_referrers(integrator):
         if isinstance(referrer, openmm.Context):
             return referrer

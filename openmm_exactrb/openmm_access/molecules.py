@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.support.types import Indices
 
-#: Bodies that a user named, in addition to those of constraints.
+#: Particles of bodies that a user named, in addition to the bodies that constraints define.
 Named = Sequence[Sequence[int]] | None
 
 
 def molecule_of(context: Any, named: Named) -> Indices:
-    """Return the index of the molecule of each particle, (n_particles,); bodies named by hand join molecules.
+    """Return the index (n_particles,) of the molecule of each particle; a body named by hand joins its molecules.
 
     Molecules are those of ``Context.getMolecules``: particles connected by constraints or bonds of any force.
     """

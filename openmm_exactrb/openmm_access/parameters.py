@@ -1,7 +1,7 @@
-"""The parameters of a System and its forces as arrays, by OpenMM's C interface.
+"""The parameters of a System and its forces as arrays, read through OpenMM's C interface.
 
-A call from Python takes some microseconds for each bond, and a membrane has a million bonds. The parameters of a custom
-force, which have their own names, are in the order of these names.
+A call from Python takes several microseconds per bond, and a membrane has a million bonds. The parameters of a custom
+force are in the order of its parameter names.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from openmm_exactrb import kernels
 from openmm_exactrb.support.types import Array, Indices
 
-#: Whole numbers of terms, particles among them (n, k), and other numbers (n, m), as OpenMM has them, in its units.
+#: Integers (n, k) of terms, such as particles, and real numbers (n, m), in the order and the units of OpenMM.
 Rows = tuple[Indices, Array]
 
-# What the terms of a force are called, and how many whole and other numbers they have: no count for those of arrays.
+# The name of the terms of each force, and their numbers of integers and of real numbers, None if these are in an array.
 _TERMS = {
     openmm.HarmonicBondForce: ("Bond", 2, 2),
     openmm.HarmonicAngleForce: ("Angle", 3, 2),
@@ -46,7 +46,7 @@ def terms(force: Any) -> Rows:
 
 
 def exceptions(force: openmm.NonbondedForce) -> Rows:
-    """Return particles, and product of charges, sigma and epsilon of the exceptions of a force."""
+    """Return particles (n, 2) of the exceptions of a force, and their charge products, sigma and epsilon (n, 3)."""
     return _rows(force, "getExceptionParameters", force.getNumExceptions(), 2, 3)
 
 
@@ -103,7 +103,7 @@ def _loops() -> Any:
 
 @cache
 def _library() -> Any:
-    """Return OpenMM's library, whose functions are found through the Python module that is linked to it."""
+    """Return OpenMM's library, which is found through the Python module that is linked to it."""
     return ctypes.CDLL("OpenMM.dll" if sys.platform == "win32" else openmm._openmm.__file__)  # noqa: SLF001
 
 

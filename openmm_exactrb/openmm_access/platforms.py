@@ -12,20 +12,20 @@ import openmm
 _PRECISION = "Precision"
 #: Platforms that keep positions and forces on a device.
 DEVICES = ("CUDA", "HIP", "OpenCL")
-# CPUs in OpenCL's DeviceName and OpenCLPlatformName: of Intel, AMD and Arm, and of PoCL (pthread-..., cpu-..., basic).
+# Names of CPUs in OpenCL's DeviceName and OpenCLPlatformName: Intel, AMD, Arm and PoCL (pthread-..., cpu-..., basic).
 _CPU = re.compile(r"\b(cpu|pthread|basic|core\(tm\)|xeon|pentium|celeron|epyc|ryzen|threadripper|opteron|cortex)", re.I)
 
 
 def platforms() -> list[openmm.Platform]:
-    """Return the available platforms, the fastest first."""
+    """Return the available platforms, fastest first."""
     found = [openmm.Platform.getPlatform(i) for i in range(openmm.Platform.getNumPlatforms())]
     return sorted(found, key=lambda platform: -platform.getSpeed())
 
 
 def platform_of(name: str | openmm.Platform | None = None) -> openmm.Platform:
-    """Return the platform with a given name, by default that of OPENMM_DEFAULT_PLATFORM, or the fastest.
+    """Return the platform with a given name, by default the one in OPENMM_DEFAULT_PLATFORM, or else the fastest.
 
-    The fastest is chosen from platforms that `why_not_by_default` does not exclude.
+    The fastest platform is chosen from those that `why_not_by_default` does not exclude.
 
     Raises
     ------
@@ -46,7 +46,7 @@ def platform_of(name: str | openmm.Platform | None = None) -> openmm.Platform:
 
 @cache
 def why_not_by_default(name: str) -> str | None:
-    """Return why a platform is used only if the user names it, or None."""
+    """Return the reason why a platform is used only if the user names it, or None."""
     if name != "OpenCL":
         return None
     system = openmm.System()
@@ -59,7 +59,7 @@ def why_not_by_default(name: str) -> str | None:
 
 
 def no_gpu(context: Any) -> str | None:
-    """Return why the platform of a Context is not a GPU, or None."""
+    """Return the reason why the platform of a Context is not a GPU, or None."""
     platform = context.getPlatform()
     name = platform.getName()
     if name not in DEVICES:
@@ -71,7 +71,7 @@ def no_gpu(context: Any) -> str | None:
 
 
 def mixed(platform: openmm.Platform) -> dict[str, str]:
-    """Return the properties of mixed precision if a platform has it; its default would lose digits of the energy."""
+    """Return the properties for mixed precision if a platform has it; the default would lose digits of the energy."""
     return {_PRECISION: "mixed"} if _PRECISION in platform.getPropertyNames() else {}
 
 

@@ -6,22 +6,22 @@ from typing import Any
 
 import openmm
 
-# Properties of a platform that only report.
+# Properties of a platform that cannot be set.
 _REPORTED = ("DeviceName", "OpenCLPlatformName")
-# Settings of OpenMM's integrators: getX and setX.
+# Settings of OpenMM's integrators, which have methods getX and setX.
 _SETTINGS = ("ConstraintTolerance", "KineticEnergyExpression", "RandomNumberSeed", "StepSize")
 
 
 def rebind(context: Any, integrator: openmm.CustomIntegrator, program: openmm.CustomIntegrator) -> None:
     """Replace the program of an integrator in its Context.
 
-    OpenMM's objects are replaced, as by ``reinitialize``; the Python objects stay, and so do all references to them.
-    The state of the Context is preserved, and so is the value of every global variable that both programs have. The
-    integrator that provided the new program has no Context, and cannot be used afterwards.
+    OpenMM's C++ objects are replaced, as by ``reinitialize``; the Python objects and all references to them remain. The
+    state of the Context and the values of global variables that both programs have are preserved. The integrator that
+    provided the new program has no Context, and cannot be used afterwards.
     """
     for name in _SETTINGS:
         getattr(program, f"set{name}")(getattr(integrator, f"get{name}")())
-    known = _global_variables(integrator)[1:]  # the first one says which engine wrote the variables
+    known = _global_variables(integrator)[1:]  # the first one identifies the engine that wrote the variables
     for name in set(known) & set(_global_variables(program)):
         program.setGlobalVariableByName(name, integrator.getGlobalVariableByName(name))
     platform = context.getPlatform()

@@ -1,4 +1,4 @@
-"""Conversion of a user's Quantities and plain numbers to plain numbers."""
+"""Conversion of a user's Quantities and plain numbers to plain numbers in a given unit."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def stripped(value: Any, in_unit: unit.Unit) -> Any:
 
 
 def picoseconds(size: float | unit.Quantity | None) -> float:
-    """Return a time step in ps, which must not be negative: OpenMM has no backward steps."""
+    """Return a time step in ps; raise ValueError if it is negative, because OpenMM has no backward steps."""
     return not_negative(size, unit.picosecond, "a time step")
 
 
@@ -50,12 +50,12 @@ def not_negative(value: Any, in_unit: unit.Unit, what: str) -> float:
 
 
 def kelvin(temperature: float | unit.Quantity) -> float:
-    """Return a temperature in K, which must not be negative."""
+    """Return a temperature in K; raise ValueError if it is negative."""
     return not_negative(temperature, unit.kelvin, "a temperature")
 
 
 def gas_constant_times(temperature: float | unit.Quantity) -> float:
-    """Return RT in kJ/mol of a temperature in K."""
+    """Return RT in kJ/mol for a temperature, in K if it has no unit."""
     return float((kelvin(temperature) * unit.kelvin * unit.MOLAR_GAS_CONSTANT_R).value_in_unit(unit.kilojoule_per_mole))
 
 

@@ -1,6 +1,6 @@
-"""Potentials between rigid bodies as OpenMM forces; each is one function that returns a Force.
+"""Potentials between rigid bodies as OpenMM forces; each potential is a function that returns a Force.
 
-OpenMM's units, amu, nm, ps and kJ/mol, are a consistent set: reduced units map to them one to one.
+OpenMM's units (amu, nm, ps and kJ/mol) are consistent, so that numbers in reduced units can be used unchanged.
 """
 
 from openmm_exactrb.potentials.boundaries import Ewald, Open, ReactionField

@@ -1,9 +1,9 @@
 """Boundary conditions of dipoles: none, a dielectric beyond a cutoff, or all periodic images.
 
-A switch S ends the energy of pairs of nearest images at the cutoff; the spheres have a separate switch, see
-`openmm_exactrb.potentials.spheres`. S is proportional to the integral of (t (1 - t))^6 over t from 0
-to s, where s falls linearly in r² from 1 at `switch` to 0 at `cutoff`: forces have five continuous derivatives, which
-schemes of order 6 require.
+A switch S takes the energy of a pair of nearest images to zero at the cutoff. The spheres have a separate switch; see
+`openmm_exactrb.potentials.spheres`. S is proportional to the integral of (t (1 - t))^6 over t from 0 to s, where s
+falls linearly in r² from 1 at `switch` to 0 at `cutoff`. Forces then have five continuous derivatives, which schemes of
+order 6 require.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from openmm_exactrb.support import checks
 _log = logging.getLogger("openmm_exactrb")
 
 Edges: TypeAlias = ewald.Edges
-#: Cutoff and begin of the switch in nm, and the strength of the reaction field in 1/nm³.
+#: Cutoff and start of the switch in nm, and the strength of the reaction field in 1/nm³.
 Truncation: TypeAlias = tuple[float, float, float]
-#: Inverse width of the clouds (1/nm); the largest wave number (1/nm), or the steps of a mesh (nm) and the order of its
-#: splines; and the relative permittivity around all images.
+#: Inverse width of the Gaussians (1/nm); the largest wave number (1/nm), or the steps of a mesh (nm) and the order of
+#: its splines; and the relative permittivity around all images.
 Images: TypeAlias = tuple[float, float, float] | tuple[float, Edges, int, float]
 
 
@@ -39,12 +39,12 @@ class Open:
     periodic: ClassVar[bool] = False
 
     def truncation(self, box: Edges | None, n: int = 1) -> None:
-        """Return None; raise a ValueError for a box."""
+        """Return None, because there is no cutoff; raise ValueError if there is a box."""
         if box is not None:
             raise ValueError("a box needs periodic boundaries: add boundary=ReactionField() or boundary=Ewald()")
 
     def images(self, n: int, box: Edges | None) -> None:
-        """Return None: there are no images."""
+        """Return None, because there are no images."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,18 +80,18 @@ class _Periodic:
 
 @dataclass(frozen=True, kw_only=True)
 class ReactionField(_Periodic):
-    """A periodic box: nearest images within a cutoff, and the field of a dielectric beyond it.
+    """A periodic box with nearest images within a cutoff, and the reaction field of a dielectric beyond it.
 
-    The field adds the energy -2 (eps - 1)/(2 eps + 1) mu_i.mu_j/a³ to a pair (Barker and Watts, Mol. Phys. 26, 789
-    (1973)). The radius a³ = 3 integral S r² dr is that of a sharp sphere with the same volume as the switched one: a
-    uniform polarisation then has the reaction field of `dielectric`, as the fluctuation formula of
-    `dielectric_constant` requires.
+    The reaction field adds the energy -2 (eps - 1)/(2 eps + 1) mu_i.mu_j/a³ to that of each pair (Barker and Watts,
+    Mol. Phys. 26, 789 (1973)). The radius a, where a³ = 3 integral S r² dr, is that of a sharp sphere with the same
+    volume as the switched one. A uniform polarisation then has the reaction field of `dielectric`, as the fluctuation
+    formula of `dielectric_constant` requires.
 
     Parameters
     ----------
     cutoff, switch : float, optional
-        Distances at which the energy of a pair ends and its switch begins, in nm. By default half the shortest edge of
-        the box, and three quarters of the cutoff.
+        Cutoff of the energy of a pair and start of its switch, in nm; by default half the shortest edge of the box and
+        three quarters of the cutoff.
     dielectric : float
         Relative permittivity around the cutoff sphere: infinity for a conductor, 1 for truncation without a field.
 
@@ -102,40 +102,39 @@ class ReactionField(_Periodic):
     """
 
     def truncation(self, box: Edges | None, n: int = 1) -> Truncation:
-        """Return the cutoff and the beginning of the switch (nm), and the strength of the reaction field (1/nm³)."""
+        """Return the cutoff and the start of the switch (nm), and the strength of the reaction field (1/nm³)."""
         cutoff, switch = self.distances(box)
         return cutoff, switch, reaction(self.dielectric) / sharp_volume(cutoff, switch)
 
     def images(self, n: int, box: Edges | None) -> None:
-        """Return None: images are not summed."""
+        """Return None, because images are not summed."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ewald(_Periodic):
-    """A periodic box with the dipoles of all its images (de Leeuw, Perram and Smith, Proc. R. Soc. A 373, 27 (1980)).
+    """A periodic box with interactions between all images (de Leeuw, Perram and Smith, Proc. R. Soc. A 373, 27 (1980)).
 
     The sum in reciprocal space is direct, or uses a mesh (smooth particle mesh Ewald). Omitted parameters are chosen
     such that the sum is fast and meets the tolerance; ``getParameters`` returns them. The spheres of `dipole_fluid`
-    have a separate cutoff. Forces are the exact gradient of the energy: in a fixed box the energy is smooth whatever
-    the tolerance, and a symplectic scheme conserves it. If the box changes, the energy jumps by up to about the
+    have a separate cutoff. Forces are the exact gradient of the energy. In a fixed box the energy is therefore smooth
+    for any tolerance, and a symplectic scheme conserves it. If the box changes, the energy jumps by at most about the
     tolerance. An Ewald sum needs the compiled kernel, or ``kernel="openmm"`` of `dipole_fluid`.
 
     Parameters
     ----------
     cutoff, switch : float, optional
-        Distances at which the energy of a pair ends and its switch begins, in nm. The default cutoff is the fastest one
-        for a mesh, and half the shortest edge of the box for the direct sum; the switch begins at three quarters of the
-        cutoff.
+        Cutoff of the energy of a pair and start of its switch, in nm. The default cutoff is the fastest one for a mesh,
+        and half the shortest edge of the box for the direct sum; the switch begins at three quarters of the cutoff.
     dielectric : float
         Relative permittivity around all images: infinity for a conductor, 1 for vacuum.
     tolerance : float
-        Error of the dipoles' forces, fields and torques, relative to their root mean square in a liquid or gas.
+        Error of forces, fields and torques, relative to their root mean square in a liquid or gas.
     method : {"auto", "direct", "mesh"}
-        "auto" selects the faster one.
+        Method of the sum in reciprocal space; "auto" selects the faster method.
     mesh : int or (3,) int, optional
-        Points of the mesh along each edge, with prime factors up to 5; implies "mesh".
+        Numbers of mesh points along the edges, with prime factors up to 5. Implies "mesh".
     order : int, optional
-        Even order of the B-splines, from 4 to 16, by default 8 or 10: forces have order - 4 continuous derivatives.
+        Even order of the B-splines, from 4 to 16, by default 8 or 10. Forces have order - 4 continuous derivatives.
         Implies "mesh".
 
     Raises
@@ -185,7 +184,7 @@ class Ewald(_Periodic):
         return _parameters(self, checks.whole(n, "n"), edges_of(box))
 
     def truncation(self, box: Edges | None, n: int = 1) -> Truncation:
-        """Return the cutoff and the beginning of the switch (nm) for n dipoles in a box, and no reaction field."""
+        """Return the cutoff and the start of the switch (nm) for n dipoles in a box, and 0 for the reaction field."""
         self.distances(box)
         assert box is not None
         chosen = self.getParameters(n, box)
@@ -218,7 +217,7 @@ def _parameters(boundary: Ewald, n: int, edges: Edges) -> ewald.EwaldParameters:
             f"for {n} dipoles with the given parameters: use a larger tolerance, a longer cutoff, a higher order, or "
             "method='direct'"
         )
-    # At nearly equal costs the direct sum stays, which has no error of a mesh.
+    # At similar costs the direct sum is preferred, because it has no mesh error.
     weights = {"direct": 0.8, "mesh": 1.0}
     chosen = min(choices, key=lambda choice: weights[choice.method] * ewald.cost(n, edges, choice))
     if chosen.error > boundary.tolerance:

@@ -1,4 +1,4 @@
-"""Soft dipolar spheres: the force, and the function of its PythonForce."""
+"""Soft dipolar spheres: their force, and the function that its PythonForce calls."""
 
 from __future__ import annotations
 
@@ -35,20 +35,21 @@ def soft_dipole_force(
     shifted: bool = False,
     kernel: str = "auto",
 ) -> openmm.CustomHbondForce | openmm.CustomCompoundBondForce | openmm.PythonForce:
-    """Soft spheres with point dipoles: 4 epsilon (sigma/r)^12 + mu_i.mu_j/r³ - 3 (mu_i.r)(mu_j.r)/r^5 over all pairs.
+    """Return the force of soft spheres with point dipoles.
 
-    Section 3.4 of the paper; with `attraction` the Stockmayer fluid.
+    The energy of a pair is 4 epsilon (sigma/r)^12 + mu_i.mu_j/r³ - 3 (mu_i.r)(mu_j.r)/r^5, as in section 3.4 of the
+    paper. With an attraction it is that of the Stockmayer fluid.
 
     Parameters
     ----------
     arrows : sequence of (centre, tip)
-        Particles or virtual sites of each body: its centre, and a point at `length` from it along its dipole.
+        Particles or virtual sites of each body: the centre, and the tip at a distance of `length` along the dipole.
     strength : float
         Dipole moment in sqrt(kJ/mol nm³).
     length : float
         Distance between centre and tip in nm.
     sigma, epsilon : float
-        In nm and kJ/mol.
+        Size (nm) and strength (kJ/mol) of the soft spheres.
     attraction : float
         Factor of the Lennard-Jones attraction -4 epsilon (sigma/r)^6: 1 for the Stockmayer fluid.
     wca : bool
@@ -62,11 +63,11 @@ def soft_dipole_force(
         Surroundings of the sample: nothing, a dielectric beyond a cutoff, or all periodic images. The cutoff and the
         switch of a boundary apply to the dipoles only.
     sphere_cutoff, sphere_switch : float, optional
-        Distances at which the energy of two spheres in a box ends and its switch begins, in nm. The default cutoff is 3
-        sigma, or half the shortest edge of the box if that is less; the switch begins at three quarters of the cutoff.
-        A barostat that shrinks the box below twice a cutoff ends the run: pass shorter cutoffs if you use one.
+        Cutoff of the energy of two spheres in a box and start of its switch, in nm. The default cutoff is 3 sigma, or
+        half the shortest edge of the box if that is less; the switch begins at three quarters of the cutoff. A run ends
+        with an error if a barostat shrinks the box below twice a cutoff; pass shorter cutoffs with a barostat.
     shifted : bool
-        Whether to subtract the energy of two spheres at the cutoff from their energy, before the switch.
+        Whether to subtract the energy of two spheres at the cutoff from their energy before the switch is applied.
     kernel : {"auto", "openmm", "bonds", "compiled"}
         Type of the force. "auto" or "compiled": a kernel in double precision on all cores, about fifty times faster on
         a CPU. "openmm": a `CustomHbondForce` if there is a cutoff, which OpenCL, CUDA and HIP evaluate on the device.
@@ -76,23 +77,24 @@ def soft_dipole_force(
     Returns
     -------
     openmm.CustomHbondForce, openmm.CustomCompoundBondForce or openmm.PythonForce
-        The force, with the Context parameters `soft_repulsion`, 4 epsilon sigma^12, `dipole_coupling`,
-        (strength/length)², and with an attraction `soft_attraction`, 4 epsilon sigma^6 times the attraction. Energies
-        and forces of the three types agree to 1e-13.
+        The force, with the Context parameters `soft_repulsion` (4 epsilon sigma^12), `dipole_coupling`
+        ((strength/length)²) and, with an attraction, `soft_attraction` (4 epsilon sigma^6 times the attraction).
+        Energies and forces of the three types agree to 1e-13.
 
     Raises
     ------
     ValueError
         If the kernel is unknown, arrows are not pairs of particles, a number is out of range, box and boundary are
-        incompatible, or an Ewald sum has too many waves or a kernel other than the compiled one. With "openmm", if
-        cutoff + 2 length reaches half the shortest edge.
+        incompatible, an Ewald sum has too many waves or a kernel other than the compiled one, or, with "openmm", cutoff
+        + 2 length reaches half the shortest edge.
 
     Notes
     -----
     With "bonds", the box is given by the Context parameters `box_x`, `box_y` and `box_z`, which a barostat does not
     change. The compiled kernel and the `CustomHbondForce` use the box of the Context. The `CustomHbondForce` moves
-    centres and tips to their nearest images individually, hence the condition on the cutoff, which is not checked again
-    if the box shrinks. With "bonds" and "openmm", the integrators of this package raise a ValueError for a barostat.
+    centres and tips to their nearest images individually. This requires the condition on cutoff + 2 length, which is
+    not checked again if the box shrinks. With "bonds" and "openmm", the integrators of this package raise a ValueError
+    if there is a barostat.
 
     XmlSerializer writes the compiled kernel's settings with pickle, as it does for every PythonForce.
     """
@@ -143,7 +145,7 @@ def spheres_of(
 
 
 def _chosen(kernel: str, *, needs_compiled: bool) -> str:
-    """Return the kernel of the force, "openmm", "bonds" or "compiled"; an Ewald sum needs the last."""
+    """Return the kernel of the force: "openmm", "bonds" or "compiled". An Ewald sum needs "compiled"."""
     if kernel not in ("auto", "openmm", "bonds", "compiled"):
         raise ValueError(f"unknown kernel {kernel!r}: choose one of auto, openmm, bonds, compiled")
     if needs_compiled and kernel not in ("auto", "compiled"):
@@ -165,7 +167,7 @@ def _check_tips(cutoff: float, length: float, edges: Sequence[float]) -> None:
 
 
 def checked_pairs(pairs: Any, name: str = "arrow", ends: str = "centre, tip") -> list[tuple[int, int]]:
-    """Return arrows as pairs of particles that share no particle."""
+    """Return arrows as pairs of particles; raise ValueError if a particle occurs twice."""
     rows = checks.lists_of_indices(pairs, f"{name}s")
     if not rows:
         raise ValueError(f"soft dipoles need at least one {name} ({ends})")
@@ -201,19 +203,20 @@ class SoftDipoles:
     Parameters
     ----------
     truncation : (cutoff, switch, reaction), optional
-        Distances in nm and the strength of the reaction field in 1/nm³; with it the boundaries are periodic.
+        Distances in nm and the strength of the reaction field in 1/nm³. With a truncation, the boundaries are periodic.
     ewald : (alpha, k_max, dielectric) or (alpha, steps, order, dielectric), optional
-        An Ewald sum instead of the reaction field: inverse width of the clouds (1/nm); the largest wave number (1/nm),
-        or the steps of a mesh along the edges (nm) and the order of its splines; permittivity around all images.
+        An Ewald sum instead of the reaction field: inverse width of the Gaussians (1/nm); the largest wave number
+        (1/nm), or the steps of a mesh along the edges (nm) and the order of its splines; permittivity around all
+        images.
     wca : bool
-        Whether the spheres' energy ends at its minimum.
+        Whether the energy of the spheres is truncated at its minimum.
     spheres : SphereCutoff, optional
-        Cutoff of the spheres, for a truncation; by default that of the dipoles.
+        Cutoff of the spheres if there is a truncation; by default that of the dipoles.
     """
 
     # Pickles in System XML name this module and the attributes.
     __module__ = "openmm_exactrb.potentials"
-    #: Of Systems that were written before the spheres had a cutoff of their own.
+    #: Default for Systems that were written before the spheres had a separate cutoff.
     spheres: tuple[float, float, bool] | None = None
 
     def __init__(
@@ -243,14 +246,14 @@ class SoftDipoles:
         Parameters
         ----------
         positions : (2 n, 3) array
-            In nm: centre and tip of the first arrow, of the second, ...
+            In nm: the centre and the tip of the first arrow, then those of the second, and so on.
         parameters : mapping
-            Those of a Context: `soft_repulsion` (kJ/mol nm^12), `dipole_coupling` (kJ/mol nm) and, with an attraction,
+            Context parameters `soft_repulsion` (kJ/mol nm^12), `dipole_coupling` (kJ/mol nm) and, with an attraction,
             `soft_attraction` (kJ/mol nm^6).
         box : (3, 3) array, optional
-            Vectors in nm; for a truncation.
+            Vectors of the periodic box in nm, required with a truncation.
         threads : int, optional
-            By default, chosen from the number of pairs. Results are bit-identical for any number.
+            Number of threads, by default chosen from the number of pairs. Results are bit-identical for any number.
 
         Raises
         ------

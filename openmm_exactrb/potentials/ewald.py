@@ -11,19 +11,20 @@ from openmm_exactrb.potentials import ewald_errors as errors
 
 Edges: TypeAlias = tuple[float, float, float]
 
-#: The most waves of a sum: so many take 100 MB, and 1 ms a dipole.
+#: Largest number of waves of a direct sum, which take 100 MB, and 1 ms per dipole.
 MOST_WAVES = 1_000_000
-#: The most points of a mesh along an edge: so many in a cube take 2 GB.
+#: Largest number of mesh points along an edge; a cubic mesh of this size takes 2 GB.
 MOST_POINTS = 512
 
-# ns of a pair in a row of all and through cells, of a wave and a dipole, of a point of a mesh, of a dipole and a point
-# under its spline, and of a mesh as such; and up to which part of the box a cutoff leaves room for cells.
+# Times in ns: per pair in a row of all pairs, per pair found through cells, per wave and dipole, per mesh point, per
+# dipole and point under its spline, and per mesh. The last number is the largest cutoff, relative to the box, with
+# cells.
 _ROW, _CELL, _WAVE, _POINT, _SPLINE, _MESH, _WHOLE = 9.3, 12.0, 1.0, 15.0, 0.85, 2e5, 0.4
 
-#: The least tolerance of a mesh that is chosen: below, its a priori error is one of rounding.
+#: Smallest tolerance for which a mesh is chosen. Below it, the a priori error of a mesh is dominated by roundoff.
 LEAST_TOLERANCE = 2e-7
 
-#: Numbers beyond the order of a spline, which has full vector registers.
+#: Additional numbers per spline beyond its order, which fill vector registers.
 LANES = 4
 
 
@@ -31,24 +32,24 @@ class EwaldParameters(NamedTuple):
     """Parameters of an Ewald sum of dipoles; lengths in nm, their inverses in 1/nm."""
 
     method: str  #: "direct" (all waves) or "mesh" (smooth particle mesh Ewald)
-    cutoff: float  #: where the energy of a pair ends
-    switch: float  #: where its switch begins
+    cutoff: float  #: cutoff of the energy of a pair
+    switch: float  #: start of the switch of this energy
     alpha: float  #: inverse width of the Gaussians
     k_max: float  #: largest wave number of the direct sum, 0 for a mesh
-    order: int  #: of the splines of a mesh, 0 for the direct sum
-    points: tuple[int, ...]  #: of a mesh along each edge, () for the direct sum
-    error: float  #: estimated, as `tolerance`; no formula exceeds the tolerance
+    order: int  #: order of the splines of a mesh, 0 for the direct sum
+    points: tuple[int, ...]  #: numbers of mesh points along the edges, () for the direct sum
+    error: float  #: estimated error, defined as `tolerance` and at most equal to it
 
 
 def direct(n: int, edges: Edges, cutoff: float, switch: float, tolerance: float) -> EwaldParameters:
-    """Return the parameters of the sum over all waves; ValueError if it needs more than `MOST_WAVES`.
+    """Return the parameters of the sum over all waves; raise ValueError if it needs more than `MOST_WAVES`.
 
     The truncation errors of the two sums are exp(-x²) with x = alpha switch, and exp(-y²) with y = k_max/(2 alpha),
-    times powers of x or y and of a, alpha times the distance between dipoles, as for random dipoles. The factors are
-    the largest that were measured in liquids and gases of 8 to 256 dipoles. The tolerance is relative to the root mean
-    square of forces and fields.
+    times powers of x or y and of a, where a is alpha times the distance between dipoles. The powers are those for
+    random dipoles; their factors are the largest that were measured in liquids and gases of 8 to 256 dipoles. The
+    tolerance is relative to the root mean square of forces and fields.
     """
-    begin = max(switch, 1e-3 * cutoff)  # an error below, and not a division by zero
+    begin = max(switch, 1e-3 * cutoff)  # a start at 0 leads to the error below, not to a division by zero
     x = y = 3.0
     distance = mean_distance(n, edges)
     for _ in range(60):
@@ -85,7 +86,7 @@ def meshes(
     order: int | None = None,
     points: tuple[int, ...] | None = None,
 ) -> Iterator[EwaldParameters]:
-    """Yield meshes of several sizes that meet a tolerance, with the given parameters."""
+    """Yield the parameters of meshes of several sizes that meet a tolerance and have the given parameters."""
     distance, half, goal = mean_distance(n, edges), 0.5 * min(edges), tolerance / errors.SAFETY
     part = 0.75 if switch is None or cutoff is None else switch / cutoff
     for p in (8, 10) if order is None else (order,):
@@ -123,5 +124,5 @@ def _sizes(edges: Edges, order: int) -> Iterator[tuple[int, ...]]:
 
 
 def mean_distance(n: int, edges: Edges) -> float:
-    """Return the mean distance of n dipoles."""
+    """Return the mean distance (nm) of n dipoles in a box."""
     return math.pow(math.prod(edges) / n, 1.0 / 3.0)

@@ -1,8 +1,9 @@
 """A priori root mean square errors of an Ewald sum of dipoles.
 
-They are the errors for dipoles with random positions and directions, as in J. Kolafa and J. W. Perram, Mol. Simul. 9,
-351 (1992), divided by the forces and fields of random dipoles on a cubic lattice. The errors of liquids are up to 2.4
-times as large, and 3.1 times for a gas whose cutoff hardly exceeds the distance between dipoles.
+The errors are those of dipoles with random positions and directions, as in Kolafa and Perram, Mol. Simul. 9, 351
+(1992), divided by the forces and fields of random dipoles on a cubic lattice. The errors in liquids are up to 2.4 times
+as large; those in a gas with a cutoff only slightly longer than the distance between dipoles are up to 3.1 times as
+large.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from openmm_exactrb.support.types import Array
 #: Largest measured error, in units of the estimate.
 SAFETY = 3.5
 
-# Mean square of fields and forces: sums of 2/r^6 and 10/r^8 over a cubic lattice of distance 1.
+# Mean square of fields and forces: sums of 2/r^6 and 10/r^8 over a cubic lattice with lattice constant 1.
 _FIELD2, _FORCE2 = 16.8, 69.5
 
 
@@ -27,7 +28,7 @@ _NODES = np.polynomial.legendre.leggauss(24)
 
 
 def of_pairs(alpha: float, cutoff: float, switch: float, distance: float) -> float:
-    """Return the error from screened dipoles beyond the switch; `distance` is that between dipoles."""
+    """Return the error from screened dipoles beyond the start of the switch, at a mean distance of dipoles."""
     x, weights = _NODES
     bounds = np.array([[switch, cutoff], [cutoff, cutoff + 4.0 / alpha]])
     half = 0.5 * (bounds[:, 1:] - bounds[:, :1])
@@ -56,20 +57,20 @@ def of_mesh(alpha: float, step: float, order: int, distance: float) -> float:
 
 
 def finest_splitting(step: float, order: int, distance: float, error: float) -> float:
-    """Return the largest alpha for which a mesh meets an error."""
+    """Return the largest alpha for which a mesh has at most the given error."""
     return math.exp(np.interp(math.log(error), _of_meshes(step, order, distance), _LOGARITHMS)) / step
 
 
 def _of_meshes(step: float, order: int, distance: float) -> Array:
-    """Return the logarithms of the errors for all widths."""
+    """Return the logarithms of the errors of meshes for all `_WIDTHS`."""
     force, field = _table(order)
     ratio = distance / step
-    itself = 1.0 + 0.3 * (_WIDTHS * ratio) ** 3  # waves a dipole: a dipole's force on itself, measured in a gas
+    itself = 1.0 + 0.3 * (_WIDTHS * ratio) ** 3  # a dipole's force on itself, as measured in a gas
     return np.asarray(0.5 * np.log(itself * np.maximum(force * ratio**5 / _FORCE2, field * ratio**3 / _FIELD2)))
 
 
 def shortest_cutoff(alpha: float, part: float, distance: float, error: float, longest: float) -> float:
-    """Return the shortest cutoff for which pairs meet an error, or the longest.
+    """Return the shortest cutoff at which pairs have at most the given error, but not more than `longest`.
 
     The switch begins at the fraction `part` of the cutoff.
     """
@@ -83,7 +84,7 @@ def shortest_cutoff(alpha: float, part: float, distance: float, error: float, lo
 
 
 def widest_splitting(cutoff: float, switch: float, distance: float, error: float) -> float:
-    """Return the smallest alpha for which pairs meet an error."""
+    """Return the smallest alpha for which pairs have at most the given error."""
     low, high = 1.0 / cutoff, 30.0 / max(switch, 0.1 * cutoff)
     for _ in range(24):
         middle = 0.5 * (low + high)
@@ -97,19 +98,19 @@ _LOGARITHMS = np.log(_WIDTHS)
 
 @lru_cache
 def _table(order: int) -> Array:
-    """Return the mean squares of the errors of forces and fields, per mu^4 and mu², for step and density 1 (2, widths).
+    """Return mean squares (2, widths) of the errors of forces and fields, per mu^4 and mu², for step and density 1.
 
-    A pair of aliases q and q' of a wave k has the error G' W(q) W(q') - G(q) if q = q', where G' is the influence
-    function of the mesh, times q² q'² for fields and q^4 q'² for forces: the sums of its squares are integrals over the
-    waves of the mesh.
+    A pair of aliases q and q' of a wave k has the error G' W(q) W(q'), minus G(q) if q = q', where G' is the influence
+    function of the mesh. The squares of these errors, times q² q'² for fields and q^4 q'² for forces, are summed over
+    aliases and integrated over the waves of the mesh.
     """
     x, weights = np.polynomial.legendre.leggauss(20)
-    axis, weights = 0.5 * math.pi * (1.0 + x), math.pi * weights  # of both signs
+    axis, weights = 0.5 * math.pi * (1.0 + x), math.pi * weights  # for both signs of the wave numbers
     k = [axis[:, None, None], axis[:, None], axis]
     volume = weights[:, None, None] * weights[:, None] * weights
     k2 = k[0] ** 2 + k[1] ** 2 + k[2] ** 2
     W2, second, fourth = kernels.load("mesh").alias_sums(k, (1.0, 1.0, 1.0), order)
-    q = np.linspace(math.pi, math.pi + 15.0, 600)  # what the mesh does not have, in shells outside of the cube
+    q = np.linspace(math.pi, math.pi + 15.0, 600)  # waves that the mesh does not have, in shells outside the cube
     shells = 4.0 * math.pi * q**2 * np.clip(3.0 - 3.0 * math.pi / q, 0.0, 1.0) * (q[1] - q[0])
     rows = []
     for width in _WIDTHS:
@@ -118,7 +119,7 @@ def _table(order: int) -> Array:
         force = (volume * (second * fourth * mesh**2 - 2.0 * mesh * k2**3 * W2 * exact + k2**3 * exact**2)).sum()
         field = (volume * (second**2 * mesh**2 - 2.0 * mesh * k2**2 * W2 * exact + k2**2 * exact**2)).sum()
         force, field = (
-            value + 1e-16 * (volume * k2**power * exact**2).sum()  # below, the difference is one of roundoff
+            value + 1e-16 * (volume * k2**power * exact**2).sum()  # below this, the difference is roundoff
             for value, power in ((force, 3), (field, 2))
         )
         rows.append([force + (shells * q**6 * beyond**2).sum(), 3.0 * (field + (shells * q**4 * beyond**2).sum())])

@@ -1,4 +1,4 @@
-"""Soft dipoles as formulas of OpenMM: a bond for each pair, or donors and acceptors within a cutoff."""
+"""Soft dipoles as formulas for OpenMM: a bond for each pair, or donors and acceptors within a cutoff."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ def soft_dipole_bonds(
     *,
     wca: bool,
 ) -> openmm.CustomCompoundBondForce:
-    """Return the potential of `soft_dipole_force` with all pairs as bonds.
+    """Return the potential of `soft_dipole_force` as a force with a bond for each pair.
 
     With a truncation of the dipoles (cutoff and switch in nm, strength of the reaction field in 1/nm³) and of the
-    spheres, the Context parameters include the edges of the box, box_x, box_y and box_z. Products of coordinates, one
-    reciprocal and one square root are three times faster in OpenMM than the same energy in `distance` or in powers of
-    r.
+    spheres, the Context parameters include the edges of the box, box_x, box_y and box_z. In OpenMM, a formula with
+    products of coordinates, one reciprocal and one square root is three times faster than the same energy in terms of
+    `distance` or powers of r.
     """
     force = openmm.CustomCompoundBondForce(
         4,
@@ -50,7 +50,7 @@ def soft_dipole_hbonds(
     *,
     wca: bool,
 ) -> openmm.CustomHbondForce:
-    """Return the potential of `soft_dipole_force` with each arrow as donor and as acceptor: no list of pairs.
+    """Return the potential of `soft_dipole_force` with each arrow as donor and acceptor, without a list of pairs.
 
     Each pair is evaluated twice, with half its energy. OpenMM provides distances between nearest images of donors and
     acceptors, from which the products of u, v and r follow by the law of cosines.
@@ -69,10 +69,11 @@ def soft_dipole_hbonds(
 def soft_rod_energy(
     truncation: Truncation, spheres: SphereCutoff, coupling: float, length: float, *, attracts: bool, wca: bool
 ) -> str:
-    """Return the energy of two spheres minus the Coulomb energy of their rods; both are (centre, plus).
+    """Return the formula of two dipolar spheres minus the Coulomb energy of their rods; donors are (centre, plus).
 
-    u and v are the rods, and the minus ends follow from their length, because three particles per donor crash on PoCL.
-    The nearest images of centres and of ends may differ beyond the cutoff of the dipoles alone.
+    u and v are the vectors of the rods. The minus ends are computed from the length of the rods, because PoCL crashes
+    with three particles per donor. The nearest images of centres and of ends can differ only beyond the cutoff of the
+    dipoles.
     """
     rods = "- dipole_coupling*((uv + 2*vr)/(pp*pm*(pp + pm)) + (uv - 2*vr)/(mm*mp*(mm + mp)))"
     return (
@@ -92,7 +93,7 @@ def add_hbonds(
     parameters: Mapping[str, float],
     cutoff: float,
 ) -> None:
-    """Make each pair a donor and an acceptor, except for itself, with a cutoff (nm) between first particles."""
+    """Make each pair a donor and an acceptor, which exclude each other, with a cutoff (nm) between first particles."""
     for name, value in parameters.items():
         force.addGlobalParameter(name, value)
     for i, (first, second) in enumerate(pairs):
@@ -104,7 +105,7 @@ def add_hbonds(
 
 
 def _core(*, attracts: bool, wca: bool) -> str:
-    """Return the energy of two spheres; i is 1/r²."""
+    """Return the formula of the energy of two spheres, in which i is 1/r²."""
     core = "soft_repulsion*i^6 - soft_attraction*i^3" if attracts else "soft_repulsion*i^6"
     if wca:
         core = f"step(2*soft_repulsion*i^3 - soft_attraction)*({core} + soft_attraction^2/(4*soft_repulsion))"
@@ -112,7 +113,7 @@ def _core(*, attracts: bool, wca: bool) -> str:
 
 
 def _energy(core: str, truncation: Truncation | None, spheres: SphereCutoff | None, more: str = "") -> str:
-    """Return the energy of a pair, of spheres, dipoles and `more`, each times its switch if there is one."""
+    """Return the formula of the energy of a pair: spheres, dipoles and `more`, each times a switch if truncated."""
     if truncation is None or spheres is None:
         return f"{core} + dipole_coupling*i3*(uv - 3*i*ur*vr);"
     cutoff, switch, reaction = truncation
@@ -125,7 +126,7 @@ def _energy(core: str, truncation: Truncation | None, spheres: SphereCutoff | No
 
 
 def _switch(S: str, cutoff: float, switch: float) -> str:
-    """Return the definition of a switch S in r²."""
+    """Return the formula of a switch S as a function of r²."""
     u = f"u{S}"
     return (
         f"{S} = 0.5 + t{S}*(3003 - 6006*{u} + 9009*{u}^2 - 8580*{u}^3 + 5005*{u}^4 - 1638*{u}^5 + 231*{u}^6)/2048;"
@@ -135,7 +136,7 @@ def _switch(S: str, cutoff: float, switch: float) -> str:
 
 
 def _displacement(*, periodic: bool) -> str:
-    """Return the vector from the second centre to the first, or to its nearest image."""
+    """Return the formula of the vector from the second centre to the first, or to its nearest image."""
     if not periodic:
         return "x = x1 - x3; y = y1 - y3; z = z1 - z3;"
     return "".join(f"{x} = d{x} - box_{x}*floor(d{x}/box_{x} + 0.5); d{x} = {x}1 - {x}3;" for x in ("x", "y", "z"))

@@ -17,21 +17,21 @@ from openmm_exactrb.support.types import Array
 class GayBerne:
     """The function of the PythonForce of ellipsoids; it can be pickled.
 
-    The potential is 4 epsilon e1 e2² (R^-12 - R^-6) with R = (r - s + shift)/shift, where for the axes u and v, and the
-    unit vector e between the centres, s = sigma/sqrt(H(chi)), e1 = 1/sqrt(1 - chi² (u.v)²), e2 = H(chi'), and
-    H(x) = 1 - x ((u.e)² + (v.e)² - 2 x (u.e)(v.e)(u.v))/(1 - x² (u.v)²) (Gay and Berne, doi:10.1063/1.441483). A switch
-    with five continuous derivatives ends it.
+    The potential is 4 epsilon e1 e2² (R^-12 - R^-6) with R = (r - s + shift)/shift. For the axes u and v, and the unit
+    vector e between the centres, s = sigma/sqrt(H(chi)), e1 = 1/sqrt(1 - chi² (u.v)²), e2 = H(chi'), and H(x) = 1 - x
+    ((u.e)² + (v.e)² - 2 x (u.e)(v.e)(u.v))/(1 - x² (u.v)²) (Gay and Berne, doi:10.1063/1.441483). A switch with five
+    continuous derivatives takes the potential to zero at the cutoff.
 
     Parameters
     ----------
     kappa, kappa_prime : float
-        Ratio of length to diameter, and of the well depth side by side to that end to end: chi = (kappa² - 1)/(kappa² +
-        1), and chi' = (sqrt(kappa') - 1)/(sqrt(kappa') + 1).
+        Ratio of length to diameter, and ratio of the well depth side by side to that end to end: chi = (kappa² -
+        1)/(kappa² + 1), and chi' = (sqrt(kappa') - 1)/(sqrt(kappa') + 1).
     sigma, epsilon : float
-        Diameter (nm), and well depth of two crossed ellipsoids (kJ/mol). The shift is sigma, or the thickness
-        kappa sigma of a disc.
+        Diameter (nm), and well depth of two crossed ellipsoids (kJ/mol). The shift is sigma, or for a disc its
+        thickness kappa sigma.
     cutoff, switch : float
-        Distances between centres (nm).
+        Cutoff of the energy of a pair and start of its switch, as distances between centres (nm).
     """
 
     # Pickles in System XML name this module and the attributes.
@@ -53,7 +53,7 @@ class GayBerne:
         Parameters
         ----------
         positions : (2 n, 3) array
-            In nm: centre and a point on the axis of the first ellipsoid, of the second, ...
+            In nm: the centre and a point on the axis of the first ellipsoid, then those of the second, and so on.
         box : (3, 3) array
             Vectors of the periodic box in nm.
 

@@ -8,14 +8,14 @@ from openmm import unit
 
 from openmm_exactrb.support import checks
 
-#: Coulomb's constant in kJ/mol nm/e², CODATA 2018, as OpenMM has it.
+#: Coulomb's constant in kJ/mol nm/e², CODATA 2018, with the value used in OpenMM.
 COULOMB = 138.93545764438198
-# 1 D = 1e-21/c C m, over the elementary charge.
+# 1 D = 1e-21/c C m, divided by the elementary charge.
 _DEBYE_IN_E_NM = 1e-21 / 299792458.0 / 1.602176634e-19 * 1e9
 
 
 def dipole_strength(dipole: unit.Quantity | float) -> float:
-    """Convert a dipole moment to sqrt(kJ/mol nm³): the energy of two dipoles is mu²/r³ times an angular factor.
+    """Convert a dipole moment to sqrt(kJ/mol nm³), so that the energy of two dipoles is mu²/r³ times an angular factor.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def dipole_strength(dipole: unit.Quantity | float) -> float:
     if not unit.is_quantity(quantity):
         return checks.number(quantity, "a dipole moment", "sqrt(kJ/mol nm³)")
     if quantity.unit == unit.debye:
-        # OpenMM's own factor, 0.0208227 e nm, is off by 1.6e-4.
+        # OpenMM's own factor, 0.0208227 e nm, has a relative error of 1.6e-4.
         debye = checks.number(quantity.value_in_unit(unit.debye), "a dipole moment", "debye")
         return float(debye * _DEBYE_IN_E_NM * COULOMB**0.5)
     try:

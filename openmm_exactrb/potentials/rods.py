@@ -1,4 +1,4 @@
-"""Dipoles as rods of two charges: an Ewald sum that stays on a device."""
+"""Dipoles as rods of two charges, for an Ewald sum that stays on a device."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from openmm_exactrb.potentials.formula import add_hbonds, soft_rod_energy
 from openmm_exactrb.potentials.moments import COULOMB
 from openmm_exactrb.support import checks
 
-#: The least tolerance: for less, OpenMM's mesh of order 5 needs more than ten points for each dipole along an edge.
+#: Smallest tolerance. Below it, OpenMM's mesh of order 5 needs more than ten points per dipole along an edge.
 LEAST_TOLERANCE = 1e-4
 
 
@@ -36,35 +36,35 @@ def dipole_rod_forces(
     sphere_switch: float | None = None,
     shifted: bool = False,
 ) -> tuple[openmm.NonbondedForce, openmm.CustomHbondForce]:
-    """Soft spheres with a point dipole and all periodic images, from OpenMM's own forces.
+    """Return OpenMM's own forces for soft spheres with point dipoles and all periodic images.
 
     Two charges at the ends of a rod represent each dipole in the particle mesh Ewald sum of a `NonbondedForce`. Within
-    the cutoff a `CustomHbondForce` adds the spheres, and the difference between point dipoles and the Coulomb energy of
-    the rods, with the switch of `soft_dipole_force`. Beyond the cutoff the octupoles of the rods remain, which cause
-    errors of the torques of 0.2 to 0.4 (length/cutoff)².
+    the cutoff a `CustomHbondForce` adds the energy of the spheres, and the energy of point dipoles minus the Coulomb
+    energy of the rods, with the switch of `soft_dipole_force`. Beyond the cutoff the octupoles of the rods remain,
+    which cause errors of 0.2 to 0.4 (length/cutoff)² in the torques.
 
     Parameters
     ----------
     rods : sequence of (plus, minus)
-        Particles or virtual sites of each body: the ends of its rod, `length` apart and centred about its dipole.
+        Particles or virtual sites at the ends of the rod of each body, `length` apart and centred about its dipole.
     particles : int
         Number of particles of the System.
     strength, sigma, epsilon, attraction, wca, box, sphere_cutoff, sphere_switch, shifted
-        As of `soft_dipole_force`.
+        As in `soft_dipole_force`.
     length : float
-        Distance between the ends in nm; `rod_length` has a good one.
+        Distance between the ends in nm; `rod_length` returns a suitable value.
     boundary : Ewald
-        An Ewald sum with infinite dielectric constant. Its tolerance, at least 1e-4, determines splitting and mesh in
-        double precision; in single precision errors are 2e-4 at best. The default cutoff is three times the mean
-        distance of the dipoles.
+        An Ewald sum with infinite dielectric constant. Its tolerance, at least 1e-4, determines the splitting and the
+        mesh, and holds in double precision; in single precision errors are at least 2e-4. The default cutoff is three
+        times the mean distance of the dipoles.
     centres : sequence of int
         Particles or virtual sites in the middle of the rods.
 
     Returns
     -------
     openmm.NonbondedForce, openmm.CustomHbondForce
-        The latter has the Context parameters `soft_repulsion` and `soft_attraction` of `soft_dipole_force`. The dipole
-        moment is fixed.
+        The second force has the Context parameters `soft_repulsion` and `soft_attraction` of `soft_dipole_force`. The
+        dipole moment is fixed.
 
     Raises
     ------
@@ -73,9 +73,9 @@ def dipole_rod_forces(
 
     Notes
     -----
-    Splitting and mesh are chosen from errors measured in liquids of 125 and 1000 dipoles. The real-space sum
-    of the `NonbondedForce` ends at the cutoff without a switch. Unlike with the compiled kernel, the energy has small
-    steps there, below which no scheme reduces the energy error.
+    The splitting and the mesh are chosen from errors measured in liquids of 125 and 1000 dipoles. The real-space sum of
+    the `NonbondedForce` ends at the cutoff without a switch. Unlike with the compiled kernel, the energy therefore has
+    small jumps at the cutoff, which limit the energy error of every scheme.
     """
     rods, edges = checked_pairs(rods, "rod", "plus, minus"), edges_of(box)
     cutoff, switch = _distances(len(rods), edges, boundary)
@@ -133,10 +133,10 @@ def _distances(n: int, edges: Edges, boundary: Ewald) -> tuple[float, float]:
 
 
 def _mesh(n: int, edges: Edges, cutoff: float, length: float, tolerance: float) -> tuple[float, float]:
-    """Return OpenMM's alpha (1/nm) and the largest spacing of its mesh (nm) for an error of the forces.
+    """Return OpenMM's alpha (1/nm) and the largest spacing of its mesh (nm) for a tolerance of the forces.
 
-    With the mean distance a, measured errors are exp(-(alpha cutoff)²) (a/length)^1.5 for the real-space sum, because
-    the cutoff separates charges of a rod, and 0.01 (alpha spacing)³ (alpha a)^4 for the mesh.
+    With the mean distance a of dipoles, measured errors are exp(-(alpha cutoff)²) (a/length)^1.5 for the real-space
+    sum, because the cutoff separates charges of a rod, and 0.01 (alpha spacing)³ (alpha a)^4 for the mesh.
     """
     a = mean_distance(n, edges)
     alpha = math.sqrt(math.log(max(2.0 / tolerance * (a / length) ** 1.5, math.e))) / cutoff

@@ -1,11 +1,12 @@
 """The cutoff of the spheres of dipole fluids, which is part of the model, and its long-range correction.
 
-A switch, that of `openmm_exactrb.potentials.switching`, ends the energy of a pair smoothly. The mean of the energy that
-it removes is added, for spheres uniformly distributed in its range:
+The switch of `openmm_exactrb.potentials.switching` takes the energy of a pair smoothly to zero. The correction adds the
+mean of the removed energy, for spheres that are uniformly distributed beyond the start of the switch:
 
     U = 2 pi N²/V integral (u - S (u - u_c)) r² dr,    P = U/V,
 
-with u_c = u(cutoff) for a shifted potential, and 0 otherwise. Energy and pressure then hardly depend on the cutoff.
+with u_c = u(cutoff) for a shifted potential, and 0 otherwise. Energy and pressure then depend only weakly on the
+cutoff.
 """
 
 from __future__ import annotations
@@ -20,12 +21,12 @@ from openmm_exactrb.potentials.boundaries import check_cutoff
 from openmm_exactrb.potentials.switching import sharp_volume
 from openmm_exactrb.support import checks
 
-#: The customary cutoff, in diameters of a sphere.
+#: The customary cutoff, in units of the diameter of a sphere.
 CUSTOMARY = 3.0
 
 
 class SphereCutoff(NamedTuple):
-    """The cutoff and the switch of the energy of two spheres: distances in nm."""
+    """The cutoff and the start of the switch of the energy of two spheres, in nm."""
 
     cutoff: float
     switch: float
@@ -64,10 +65,10 @@ def long_range_correction(
     sphere_switch: float | None,
     shifted: bool,
 ) -> openmm.CustomVolumeForce:
-    """Return the mean energy of n spheres beyond their cutoff, which depends on the volume alone.
+    """Return a force for the mean energy of n spheres beyond their cutoff, which depends only on the volume.
 
-    Arguments and Context parameters, `soft_repulsion` and with an attraction `soft_attraction`, are those of
-    `soft_dipole_force`. A ValueError is raised for spheres without a cutoff.
+    The arguments are those of `soft_dipole_force`, and so are the Context parameters `soft_repulsion` and, with an
+    attraction, `soft_attraction`. A ValueError is raised for spheres without a cutoff.
     """
     spheres = None if wca else cutoff_in(edges, sigma, sphere_cutoff, sphere_switch, shifted=shifted)
     if spheres is None:
@@ -83,13 +84,13 @@ def long_range_correction(
 
 
 def _beyond(spheres: SphereCutoff, p: int) -> float:
-    """Return the integral of (u - S (u - u_c)) r² for u = r^-p; within the switch by Gauss's rule."""
-    from scipy.special import betainc  # here, for a short import of the package
+    """Return the integral of (u - S (u - u_c)) r² for u = r^-p, within the switch by Gaussian quadrature."""
+    from scipy.special import betainc  # imported here, because it is slow to import
 
     cutoff, switch, shifted = spheres
     x, weights = np.polynomial.legendre.leggauss(60)
     r = switch + 0.5 * (cutoff - switch) * (1.0 + x)
-    taken = betainc(7.0, 7.0, (r**2 - switch**2) / (cutoff**2 - switch**2))  # 1 - S, to all digits
+    taken = betainc(7.0, 7.0, (r**2 - switch**2) / (cutoff**2 - switch**2))  # 1 - S without cancellation
     within = 0.5 * (cutoff - switch) * float(weights @ (taken * r ** (2.0 - p)))
     shift: float = cutoff ** float(-p) * sharp_volume(cutoff, switch) / 3.0 if shifted else 0.0
     beyond: float = cutoff ** (3.0 - p) / (p - 3.0)

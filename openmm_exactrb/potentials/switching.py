@@ -1,4 +1,4 @@
-"""The switch S(r) on the energy of a pair, proportional to the integral of (s (1 - s))^6."""
+"""The switch S(r) of the energy of a pair, proportional to the integral of (s (1 - s))^6 over s."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from openmm_exactrb.support.types import Array
 
 
 def switched(r: Array, cutoff: float, switch: float) -> tuple[Array, Array]:
-    """Return S and dS/dr at distances r: 1 up to `switch`, 0 from the cutoff on."""
+    """Return S and dS/dr at distances r; S is 1 up to `switch` and 0 beyond `cutoff`."""
     rate = 1.0 / (cutoff**2 - switch**2)
     s = np.clip(rate * (cutoff**2 - r**2), 0.0, 1.0)
     t = 2.0 * s - 1.0

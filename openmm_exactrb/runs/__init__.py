@@ -1,8 +1,8 @@
-"""Runs that survive accidents: checkpoints, and output files that are truncated to the last one when a run is resumed.
+"""Runs that survive interruptions: checkpoints, and output files that a resumed run truncates to the last checkpoint.
 
-`Run` in `run` is the public class. `identity` determines which run a checkpoint belongs to, `checkpoint` is the file,
-`outputs` are the files of the reporters, `lock` keeps other processes out of the folder, and `signals` records requests
-to stop.
+`Run` in `run` is the public class. `identity` determines to which run a checkpoint belongs, `checkpoint` defines its
+file, `outputs` manages the files of the reporters, `lock` keeps other processes out of the folder, and `signals`
+records requests to stop.
 """
 
 from openmm_exactrb.runs.checkpoint import CHECKPOINT

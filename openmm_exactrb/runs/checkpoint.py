@@ -12,7 +12,7 @@ from openmm_exactrb.support.files import written_whole
 
 #: Name of the file.
 CHECKPOINT = "checkpoint"
-#: Version of the file format; files of others are an error.
+#: Version of the file format; files of other versions raise an error.
 FORMAT = b"5"
 _MAGIC = b"openmm-exactrb checkpoint"
 
@@ -23,7 +23,7 @@ class Checkpoint(NamedTuple):
     #: Step of the checkpoint, and first step of the run.
     step: int
     first: int
-    #: Seconds that the run took until then.
+    #: Seconds that the run took until the checkpoint.
     wall: float
     #: Timings of the integrator, by name.
     timings: dict[str, float]
@@ -35,7 +35,7 @@ class Checkpoint(NamedTuple):
     state: bytes
 
     def check_same_run(self, identity: Mapping[str, str], file: Path) -> None:
-        """Raise ValueError if the run has another identity."""
+        """Raise ValueError if the identity of the run differs from that of the checkpoint."""
         for name in {**self.identity, **identity}:
             was, now = self.identity.get(name, "not there"), identity.get(name, "not there")
             if was != now:
@@ -45,7 +45,7 @@ class Checkpoint(NamedTuple):
                 )
 
     def check_cut_files(self, folder: Path) -> None:
-        """Raise ValueError if an output file is shorter than it was."""
+        """Raise ValueError if an output file is shorter than it was at the checkpoint."""
         for name, (length, _) in self.files.items():
             file = folder / name
             found = file.stat().st_size if file.exists() else 0
@@ -57,7 +57,7 @@ class Checkpoint(NamedTuple):
 
 
 def write(file: Path, checkpoint: Checkpoint) -> None:
-    """Write a checkpoint: a line with format and checksum, a line of JSON, the state of OpenMM."""
+    """Write a checkpoint: a line with format and checksum, a line of JSON, and OpenMM's checkpoint."""
     about = json.dumps({name: value for name, value in checkpoint._asdict().items() if name != "state"})
     body = about.encode() + b"\n" + checkpoint.state
     with written_whole(file, "wb") as out:

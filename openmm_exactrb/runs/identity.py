@@ -1,4 +1,4 @@
-"""The identity of a run: everything that must be the same when it is resumed."""
+"""The identity of a run: all values that must be the same when it is resumed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _LONGEST = 100  # characters of a value in a message
 
 
 def identity_of(simulation: Any) -> dict[str, str]:
-    """Return all that determines the bits of a run, by name. The call fixes the shapes of bodies named by hand."""
+    """Return all values that determine the bits of a run, by name; the call fixes shapes of bodies named by hand."""
     integrator = simulation.integrator
     identity = {
         "openmm": openmm.__version__,
@@ -36,13 +36,13 @@ def identity_of(simulation: Any) -> dict[str, str]:
 def _text_of_system(system: openmm.System) -> str:
     try:
         content = openmm.XmlSerializer.serialize(system)
-    except Exception as error:  # a PythonForce raises whatever pickle does with its function
+    except Exception as error:  # a PythonForce raises any error of pickle for its function
         raise ValueError(f"a run needs a System that OpenMM can serialise: {error}") from error
     return f"{system.getNumParticles()} particles, hash {digest(content.encode())}"
 
 
 def setting_text(value: Any) -> str:
-    """Return a setting as text; a long text is replaced by a name or its beginning, and a hash."""
+    """Return a setting as text; a long text is replaced by its name or beginning, and a hash."""
     text = stable_text(value)
     if len(text) <= _LONGEST:
         return text
@@ -51,7 +51,7 @@ def setting_text(value: Any) -> str:
 
 def _settings(integrator: ExactRigidBodyIntegrator) -> dict[str, str]:
     given = {name: value for group in integrator.getSettings().values() for name, value in group.items()}
-    given.pop("checkDivergence")  # which changes no bits
+    given.pop("checkDivergence")  # has no effect on the bits
     settings = {name: setting_text(value) for name, value in given.items()}
     settings["engine"] = integrator.getEngine()
     if integrator.getNamedBodies() is not None:
@@ -70,6 +70,6 @@ def _settings_of_openmm(integrator: openmm.Integrator) -> dict[str, str]:
     for variables in tree.iter("PerDofVariables"):
         variables.clear()
     settings = {"settings": digest(ElementTree.tostring(tree))}
-    if not type(integrator).__name__.startswith("Variable"):  # whose steps change the size of steps
+    if not type(integrator).__name__.startswith("Variable"):  # their steps change the step size
         settings["stepSize"] = repr(integrator.getStepSize().value_in_unit(unit.picosecond))
     return settings

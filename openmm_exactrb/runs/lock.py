@@ -13,7 +13,7 @@ from pathlib import Path
 def only_process(folder: Path) -> Iterator[None]:
     """Hold a lock on a folder until the process ends; raise BlockingIOError if another process holds it.
 
-    Windows has no such locks.
+    Windows has no such locks, and the folder is not locked there.
     """
     if sys.platform == "win32":
         yield

@@ -16,10 +16,10 @@ from openmm_exactrb.runs.identity import setting_text
 from openmm_exactrb.runs.trajectories import begin_with_the_start, check_lost_frames
 from openmm_exactrb.support.files import sync, written_whole
 
-#: Name of the file with topology and start, which does not grow.
+#: Name of the file with the topology and the start, which is written once.
 TOPOLOGY = "topology.pdb"
 
-# Bytes at the beginning of a file that may change while it grows: a DCD file counts its frames there.
+# Bytes at the beginning of a file that may change while it grows: a DCD file stores its number of frames there.
 _HEAD = 128
 
 
@@ -33,7 +33,7 @@ class Outputs:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The files."""
+        """The names of the files."""
         return tuple(self._factories)
 
     def add(self, factory: Callable[..., Any], name: str, interval: int) -> None:
@@ -57,7 +57,7 @@ class Outputs:
         }
 
     def open(self, simulation: Any, files: Mapping[str, tuple[int, str]], first: int) -> None:
-        """Open the files, cut to their lengths at a checkpoint; report the start to new ones."""
+        """Open the files, truncated to their lengths at a checkpoint; report the start to new files."""
         requests = {}
         for name, (factory, interval) in self._factories.items():
             length, head = files.get(name, (0, ""))
@@ -69,7 +69,7 @@ class Outputs:
             file.parent.mkdir(parents=True, exist_ok=True)
             reporter = self._reporters[name] = factory(str(file), interval, append=append)
             begin_with_the_start(reporter, simulation, first - first % interval, interval, append)
-            request = reporter.describeNextReport(simulation)  # raises if the reporter does not fit
+            request = reporter.describeNextReport(simulation)  # raises an error for an unsuitable reporter
             if not append:
                 requests[name] = request
         if simulation.currentStep == first and not files:
@@ -79,7 +79,7 @@ class Outputs:
         simulation.reporters.extend(self._reporters.values())
 
     def sync(self) -> dict[str, tuple[int, str]]:
-        """Write the files through to the disk; return their lengths and first bytes, in hexadecimal."""
+        """Flush the files to the disk; return their lengths and their first bytes, in hexadecimal."""
         for name, reporter in self._reporters.items():
             for file in _files_of(reporter):
                 file.flush()
@@ -93,13 +93,13 @@ class Outputs:
             if reporter in simulation.reporters:
                 simulation.reporters.remove(reporter)
             for file in _files_of(reporter):
-                with contextlib.suppress(OSError):  # of a full disk
+                with contextlib.suppress(OSError):  # as on a full disk
                     file.close()
         self._reporters.clear()
 
     def _write_topology(self, simulation: Any) -> None:
         if simulation.topology.getNumAtoms() != simulation.system.getNumParticles():
-            return  # OpenMM runs a System without its Topology
+            return  # OpenMM does not require a matching Topology
         wrapped = simulation.system.usesPeriodicBoundaryConditions()
         positions = simulation.context.getState(positions=True, enforcePeriodicBox=wrapped).getPositions()
         with written_whole(self._folder / TOPOLOGY) as file:
@@ -119,7 +119,7 @@ def _described(factory: Callable[..., Any]) -> str:
 
 
 def _state(simulation: Any, request: Any) -> Any:
-    """Return a State with all that a reporter may request, as a dict or a tuple; its box is wrapped as requested."""
+    """Return a State with all data; positions are wrapped if the request of a reporter, a dict or tuple, says so."""
     wrapped = request.get("periodic") if isinstance(request, dict) else (*request, None)[5]
     if wrapped is None:
         wrapped = simulation.system.usesPeriodicBoundaryConditions()
@@ -129,7 +129,7 @@ def _state(simulation: Any, request: Any) -> Any:
 
 
 def _files_of(reporter: Any) -> Iterator[Any]:
-    """Yield the open files of a reporter, because reporters have no common method to flush and close them."""
+    """Yield the open files of a reporter; reporters have no common method to flush and close them."""
     for value in vars(reporter).values():
         if isinstance(value, io.IOBase) and value not in (sys.stdout, sys.stderr) and not value.closed:
             yield value

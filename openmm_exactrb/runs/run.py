@@ -28,7 +28,7 @@ from openmm_exactrb.support.checks import not_negative, whole
 
 _OPTIONS = ("out", "overwrite", "resume", "checkpoint")
 _RESUME = "resume it (resume=True or --resume)"
-# Steps between two checks of signals and the clock, as many as Simulation.step makes at once.
+# Steps between two checks of signals and the clock, as many as Simulation.step performs in one call.
 _CHUNK = 10
 
 
@@ -42,13 +42,13 @@ class Run:
     Parameters
     ----------
     folder : str or path
-        Created when the run begins.
+        Folder of the files, created when the run begins.
     resume : bool, optional
-        Continue from the checkpoint in the folder, if there is one.
+        Whether to continue from the checkpoint in the folder, if it has one.
     overwrite : bool, optional
-        Replace the files of an earlier run that is not resumed.
+        Whether to replace the files of an earlier run that is not resumed.
     every : float, optional
-        Seconds between two checkpoints; infinite for a single one at the end.
+        Seconds between two checkpoints; infinity for a single checkpoint at the end.
     settings : mapping, optional
         Further values that must be the same when the run is resumed, in addition to System, integrator, platform and
         reporters.
@@ -106,14 +106,14 @@ class Run:
     def from_options(cls, args: argparse.Namespace, subfolder: str = "", *, free: Iterable[str] = ()) -> Run:
         """Create a run in --out, or a subfolder of it, from the options of `add_options`.
 
-        All options except `free` ones are settings, which must be the same when the run is resumed.
+        All other options, except those in `free`, are settings, which must be the same when the run is resumed.
         """
         settings = {name: value for name, value in vars(args).items() if name not in {*_OPTIONS, *free}}
         options = {"resume": args.resume, "overwrite": args.overwrite, "every": args.checkpoint}
         return cls(args.out / subfolder, settings=settings, **options)
 
     def path(self, name: str) -> Path:
-        """Return the path of a file in the folder that this run may write.
+        """Return the path of a file that this run may write in its folder.
 
         Raises
         ------
@@ -134,8 +134,8 @@ class Run:
         Parameters
         ----------
         reporter : callable
-            Creates the reporter from the path, the interval and ``append=``, for example `EnergyReporter` or OpenMM's
-            DCDReporter and StateDataReporter. Use `functools.partial` for further options.
+            Class or function that creates the reporter from the path, the interval and ``append=``, for example
+            `EnergyReporter` or OpenMM's DCDReporter and StateDataReporter. Use `functools.partial` for further options.
         name : str
             Name of the file in the folder.
         interval : int
@@ -144,7 +144,7 @@ class Run:
         Raises
         ------
         FileExistsError
-            As `path` does.
+            If the file may not be written; see `path`.
         ValueError
             If the interval is not a positive whole number, the reporter takes no ``append=``, or the file belongs to
             another reporter or to the run itself.
@@ -164,12 +164,13 @@ class Run:
         Parameters
         ----------
         simulation : openmm.app.Simulation
-            A Simulation at its start. When a run is resumed, the state of the Simulation is ignored, except that its
-            positions define the shape of bodies named by hand, and must be those of the first start.
+            A Simulation at its start. When a run is resumed, the state of the Simulation is ignored, except for its
+            positions. These define the shape of bodies named by hand, and must be those of the first start.
         until : int
             Number of the last step.
         progress : callable, optional
-            Called with the number of steps since its last call, and first with the number of the checkpoint.
+            Function that is called first with the number of steps at the start or the checkpoint, and then with the
+            number of steps since its last call.
 
         Raises
         ------
@@ -183,7 +184,7 @@ class Run:
         OSError
             If a file cannot be written, for example on a full disk. The run can be resumed.
         SystemExit
-            After a signal.
+            After SIGINT, SIGTERM or SIGHUP.
         """
         if not isinstance(simulation, app.Simulation):
             raise ValueError(f"advance() takes an openmm.app.Simulation, not {type(simulation).__name__}")
@@ -245,12 +246,12 @@ class Run:
         if self._last is not None or not self._overwrite:
             return
         old: Iterable[str] = ()
-        with contextlib.suppress(ValueError, OSError):  # a damaged one is overwritten too
+        with contextlib.suppress(ValueError, OSError):  # a damaged checkpoint is overwritten too
             old = checkpoint.read(self._file).files
         self._delete(old)
 
     def _delete(self, names: Iterable[str]) -> None:
-        """Delete the checkpoint, first, so that an incomplete run is never resumed, and files of the run."""
+        """Delete files of the run, the checkpoint first, so that an incomplete run is never resumed."""
         for name in (CHECKPOINT, TOPOLOGY, *names):
             (self.folder / name).unlink(missing_ok=True)
 
@@ -259,7 +260,7 @@ class Run:
         return self.folder / CHECKPOINT
 
     def _refresh(self) -> None:
-        """Take into account what other processes did in the folder before it was locked."""
+        """Account for changes by other processes in the folder before it was locked."""
         if self.resuming:
             self._last = checkpoint.read(self._file)
             self.wall = self._last.wall
@@ -276,7 +277,7 @@ class Run:
         """Write the first checkpoint or load the last one, and open the output files."""
         if self._last is None:
             self.discard()
-            self._save(simulation)  # before any other file, which are then known to be of this run
+            self._save(simulation)  # before all other files, which then belong to this run
             self._outputs.open(simulation, {}, simulation.currentStep)
             return
         self._last.check_same_run(self._identity, self._file)
@@ -300,7 +301,7 @@ class Run:
                 due = time.monotonic() + self._every
 
     def _save(self, simulation: Any) -> None:
-        """Write all files through to the disk, then a checkpoint with their lengths."""
+        """Flush all files to the disk, then write a checkpoint with their lengths."""
         integrator = simulation.integrator
         own = isinstance(integrator, ExactRigidBodyIntegrator)
         present = Checkpoint(
@@ -327,7 +328,7 @@ class Run:
 def _load(simulation: Any, last: Checkpoint) -> None:
     integrator = simulation.integrator
     if isinstance(integrator, ExactRigidBodyIntegrator):
-        integrator.degreesOfFreedom()  # on a device this installs the variables that the checkpoint holds
+        integrator.degreesOfFreedom()  # on a device this creates the variables in the checkpoint
     simulation.context.loadCheckpoint(last.state)
     for name, value in last.timings.items():
         setattr(integrator.timings, name, value)

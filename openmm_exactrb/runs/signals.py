@@ -13,7 +13,7 @@ ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP")
 
 
 class Signals:
-    """Record the first signal that requests the end of the process; the second one ends it.
+    """Record the first signal that requests the end of the process; a second signal ends the process.
 
     A signal that the process ignores, for example under `nohup`, stays ignored.
     """
@@ -23,7 +23,7 @@ class Signals:
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> Signals:
-        if threading.current_thread() is threading.main_thread():  # no other one may set handlers
+        if threading.current_thread() is threading.main_thread():  # other threads cannot set handlers
             for number in ENDING:
                 if signal.getsignal(number) not in (signal.SIG_IGN, None):  # None: set outside Python
                     self._before[number] = signal.signal(number, self._catch)
@@ -40,7 +40,7 @@ class Signals:
 
 
 class LostInterrupts:
-    """Keep the KeyboardInterrupt of Ctrl-C that Python drops, in a destructor or a callback from C, for `check`."""
+    """Record a KeyboardInterrupt that Python drops in a destructor or a callback from C, so that `check` raises it."""
 
     def __init__(self) -> None:
         self.lost = False

@@ -1,6 +1,6 @@
-"""Corrections to OpenMM's trajectory reporters: the step of the first frame, and frames that a full disk lost.
+"""Corrections to OpenMM's trajectory reporters: the step of the first frame, and a check for lost frames.
 
-Both corrections need private members of these reporters.
+Both corrections use private members of these reporters.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from openmm import app
 
 
 def begin_with_the_start(reporter: Any, simulation: Any, first: int, interval: int, append: bool) -> None:
-    """Label the first frame of a trajectory with this step: OpenMM's reporters label it one interval later."""
+    """Label the first frame of a trajectory with step `first`; OpenMM's reporters label it one interval later."""
     about = simulation.integrator.getStepSize(), first, interval, append
     if isinstance(reporter, app.DCDReporter):
         reporter._dcd = app.DCDFile(reporter._out, _topology(reporter, simulation), *about)
@@ -33,13 +33,13 @@ def _topology(reporter: Any, simulation: Any) -> app.Topology:
 
 
 def check_lost_frames(reporter: Any, file: Path) -> None:
-    """Raise OSError if an XTC file lacks frames: OpenMM ignores errors of writing them."""
+    """Raise OSError if an XTC file lacks frames, because OpenMM ignores errors when it writes them."""
     if not isinstance(reporter, app.XTCReporter) or reporter._xtc._modelCount == 0:
         return
     written = reporter._xtc._modelCount
     try:
         found = reporter._xtc._getNumFrames()
-    except Exception:  # whatever it finds after a frame that was cut
+    except Exception:  # any error that a truncated frame causes
         found = None
     if found != written:
         raise OSError(f"{file} lacks some of its {written} frames: the disk may be full")

@@ -1,4 +1,4 @@
-"""Sequences: a step is a row of substeps, each with its fraction of the step."""
+"""Sequences of substeps, each with its fraction of the step, and their flows."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def _in_order(sequence: Sequence) -> Sequence:
 
 
 def merged(sequence: Iterable[tuple[Substep, float]]) -> Sequence:
-    """Return a sequence with equal additive neighbours merged."""
+    """Return a sequence in which equal neighbouring substeps are merged if they are additive."""
     rows: list[tuple[Substep, float]] = []
     for substep, part in sequence:
         if rows and rows[-1][0] == substep and substep.additive:
@@ -43,7 +43,7 @@ def merged(sequence: Iterable[tuple[Substep, float]]) -> Sequence:
 
 
 def repeated(sequence: Sequence, n: int) -> Sequence:
-    """Return n steps, with the outer substeps of neighbouring steps merged."""
+    """Return the sequence of n steps, with the outer substeps of neighbouring steps merged."""
     return merged(sequence * n)
 
 
@@ -59,10 +59,11 @@ def second_moments(kicks: Iterable[tuple[float, float]]) -> tuple[float, float]:
 
 
 def behind_exchange(sequence: Sequence) -> Sequence:
-    """Return the drifts after the last heat exchange if a step ends with them, or none.
+    """Return the drifts after the last heat exchange if a step ends with them, otherwise an empty sequence.
 
-    From one heat exchange to the next a step is symmetric in time, so that the errors of the energy there are of order
-    2. At the end of the step, positions are ahead of momenta, and the errors of the total energy are of order 1.
+    From one heat exchange to the next, a step is symmetric in time, so that errors of the energy at the exchanges are
+    of order 2. At the end of the step, positions are ahead of momenta, and the errors of the total energy are of order
+    1.
     """
     rows: list[tuple[Substep, float]] = []
     for substep, part in reversed(sequence):
@@ -75,10 +76,10 @@ def behind_exchange(sequence: Sequence) -> Sequence:
 
 
 def up_to_kick(sequence: Sequence) -> Sequence:
-    """Return the drifts from the end of a step to the next kick, if the step ends after a heat exchange and drifts.
+    """Return the drifts from the end of a step to the next kick if the step ends with a heat exchange and drifts.
 
-    A barostat acts behind them: at the positions of kicks, step-size errors of the pressure are smaller than at the end
-    of a step of W2_3m, and all bodies have moved for the same time, whether or not they have inner steps.
+    A barostat acts after these drifts. With W2_3m, step-size errors of the pressure are smaller at the positions of the
+    kick than at the end of a step. Bodies with and without inner steps have drifted for the same time there.
     """
     if not behind_exchange(sequence):
         return ()
@@ -88,7 +89,7 @@ def up_to_kick(sequence: Sequence) -> Sequence:
 def spelled(text: str) -> Sequence:
     """Return the sequence of a text such as "B A O A B"; substeps of the same kind have equal fractions of the step.
 
-    A ValueError is raised if there is no substep, or an unknown one.
+    A ValueError is raised if the text contains no substep, or an unknown one.
     """
     symbols = text.split()
     if not symbols:
@@ -97,17 +98,17 @@ def spelled(text: str) -> Sequence:
 
 
 def bound(sequence: Sequence, flows: Mapping[Substep, Flow[_S]], h: float) -> list[tuple[Flow[_S], float]]:
-    """Return the flows of a sequence with their times, in a step of size h."""
+    """Return the flows of the substeps in a step of size h, each with its time."""
     return [(flows[substep], part * h) for substep, part in sequence]
 
 
 def through(rows: Iterable[tuple[Flow[_S], float]], state: _S) -> _S:
-    """Return a state after successive flows with their times: the loop of every step."""
+    """Return the state after successive flows, each over its time: the loop of every step."""
     for flow, tau in rows:
         state = flow(state, tau)
     return state
 
 
 def run(sequence: Sequence, flows: Mapping[Substep, Flow[_S]], state: _S, h: float) -> _S:
-    """Return a state after a step of size h of a sequence, with given flows of its substeps."""
+    """Return the state after a step of size h, for a sequence and the flows of its substeps."""
     return through(bound(sequence, flows, h), state)

@@ -16,7 +16,7 @@ from openmm_exactrb.support.types import Array, Indices
 
 
 def number(value: Any, name: str, of: str = "") -> float:
-    """Return a finite number as a float; otherwise raise a ValueError with its name and unit (`of`)."""
+    """Return a finite number as a float; raise ValueError, with the name and the unit (`of`), for anything else."""
     return _checked(value, name, of, "a finite number{}", lambda x: True)
 
 
@@ -38,7 +38,7 @@ def whole(value: Any, name: str, least: int = 1, of: str = "") -> int:
 
 
 def force_groups(value: Any) -> int:
-    """Return force groups, given as a set or as bits, as bits; raise ValueError for anything else."""
+    """Return force groups, given as a set or a bit mask, as a bit mask; raise ValueError for anything else."""
     if _index(value) and -(2**31) <= value < 2**32:
         return int(value)
     groups: list[Any] = [*value] if _iterable(value) else [None]
@@ -55,7 +55,7 @@ def switch(value: Any, name: str) -> bool:
 
 
 def array(value: Any, name: str, asked: str = "real numbers in rows of equal length, without a unit") -> Array:
-    """Return real numbers, also nan or infinite, as an array of floats.
+    """Return real numbers, which may be nan or infinite, as an array of floats.
 
     Raises
     ------
@@ -65,14 +65,14 @@ def array(value: Any, name: str, asked: str = "real numbers in rows of equal len
     with contextlib.suppress(TypeError, ValueError, OverflowError):
         given = np.asarray(value)
         if given.dtype.kind == "O":
-            given = np.frompyfunc(float, 1, 1)(given)  # not None, which numpy converts to nan
-        if given.dtype.kind in "biufO" and not _has_unit(value):  # which numpy would drop
+            given = np.frompyfunc(float, 1, 1)(given)  # fails for None, which numpy would convert to nan
+        if given.dtype.kind in "biufO" and not _has_unit(value):  # numpy would drop the unit
             return given.astype(np.float64, copy=False)
     raise ValueError(f"{name} must be {asked}, not {reprlib.repr(value)}")
 
 
 def lists_of_indices(value: Any, name: str) -> list[list[int]]:
-    """Return lists of particle indices as lists of int; iterators are consumed once. See `number`."""
+    """Return lists of particle indices as lists of int, consuming iterators once; see `number`."""
     rows = [list(row) if _iterable(row) else None for row in value] if _iterable(value) else [None]
     fits = [row for row in rows if row is not None and all(map(_index, row))]
     if len(fits) < len(rows):
@@ -82,9 +82,9 @@ def lists_of_indices(value: Any, name: str) -> list[list[int]]:
 
 
 def owners(bodies: Sequence[Sequence[int] | Indices], n_particles: int) -> Indices:
-    """Return the index of the body that names each particle (n_particles,), -1 for none.
+    """Return the index (n_particles,) of the body that contains each particle, -1 for particles of no body.
 
-    A ValueError is raised if a particle does not exist, or two bodies name it.
+    A ValueError is raised if a particle does not exist or is named twice.
     """
     owner, numbers = np.full(n_particles, -1), np.repeat(np.arange(len(bodies)), [len(body) for body in bodies])
     particles = np.fromiter(chain.from_iterable(bodies), np.intp, len(numbers))
@@ -116,7 +116,7 @@ def _checked(value: Any, name: str, of: str, asked: str, fits: Any) -> float:
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     plain = isinstance(value, (int, float, np.number)) and not isinstance(value, (bool, np.bool_, np.complexfloating))
-    huge = isinstance(value, int) and abs(value) > sys.float_info.max  # has no float
+    huge = isinstance(value, int) and abs(value) > sys.float_info.max  # is beyond the range of a float
     if not plain or huge or not math.isfinite(value) or not fits(value):
         shown = f"one beyond {sys.float_info.max:.2g}" if huge else repr(value)
         raise ValueError(f"{name} must be {asked.format(f' of {of}' if of else '')}, not {shown}")

@@ -1,4 +1,4 @@
-"""Copies of integrators, and of users' subclasses, which may have different arguments."""
+"""Copies of integrators, including those of users' subclasses, which may have different arguments."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from typing import Any
 
 
 def own_attributes(integrator: Any, arguments: dict[str, Any]) -> dict[str, Any]:
-    """Return the attributes that a user's subclass gave an integrator with these arguments."""
+    """Return the attributes that a user's subclass added to an integrator created with these arguments."""
     known = vars(_made(type(integrator), arguments))
     return {name: value for name, value in vars(integrator).items() if name not in known}
 
 
 def restored(kind: Any, attributes: dict[str, Any], arguments: dict[str, Any], settings: dict[str, Any]) -> Any:
-    """Return an integrator of a class with the attributes, arguments and settings of another one."""
+    """Return an integrator of a class with the given attributes, arguments and settings of another integrator."""
     integrator = _made(kind, arguments)
     vars(integrator).update(attributes)
     for name, value in settings.items():
@@ -21,7 +21,7 @@ def restored(kind: Any, attributes: dict[str, Any], arguments: dict[str, Any], s
 
 
 def _made(kind: Any, arguments: dict[str, Any]) -> Any:
-    """Return an integrator of a class, created by the class of this package that it is or extends."""
+    """Return an integrator of a class, initialised by the class of this package that it is or extends."""
     ours = next(base for base in kind.__mro__ if base.__module__.split(".")[0] == "openmm_exactrb")
     integrator = kind.__new__(kind)
     ours.__init__(integrator, **arguments)

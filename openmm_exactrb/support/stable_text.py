@@ -41,9 +41,9 @@ def stable_text(value: Any, name_of: Callable[[Any], str] = qualified_name) -> s
     ----------
     value : object
         None, numbers, str, lists, mappings, numpy arrays, paths, Quantities, dataclasses, functions, classes, objects
-        of OpenMM that it can serialise, and integrators of this package. A path to a file includes its content.
+        that OpenMM can serialise, and integrators of this package. The text of a path includes the content of the file.
     name_of : callable, optional
-        Returns the name of a function or class.
+        Function that returns the name of a function or class.
 
     Raises
     ------
@@ -57,7 +57,7 @@ def _described(name_of: Callable[[Any], str], value: Any) -> Any:
     """Return a JSON value for an object that JSON itself cannot represent."""
     if isinstance(value, np.generic):
         return value.item()
-    if type(value) in (np.ndarray, np.memmap) and value.dtype.kind in "biufc":  # a mask is not among its bytes
+    if type(value) in (np.ndarray, np.memmap) and value.dtype.kind in "biufc":  # masks are not in the bytes
         return {"array": [value.dtype.str, value.shape, digest(np.ascontiguousarray(value).tobytes())]}
     if unit.is_quantity(value):
         return {"quantity": [value._value, str(value.unit)]}

@@ -7,5 +7,5 @@ from numpy.typing import NDArray
 
 #: Real numbers.
 Array = NDArray[np.float64]
-#: Numbers of particles or bodies, or places in other arrays.
+#: Indices of particles or bodies, or of elements of other arrays.
 Indices = NDArray[np.intp]

@@ -9,7 +9,7 @@ _OURS = ("openmm_exactrb", "openmm")
 
 
 def warn(message: str, category: type[Warning] = UserWarning) -> None:
-    """Warn with the line of the first caller that is neither of this package nor of OpenMM."""
+    """Issue a warning at the line of the nearest caller outside this package and OpenMM."""
     frame, level = sys._getframe(1), 2  # noqa: SLF001  # Python 3.11 has no skip_file_prefixes
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in _OURS:
         frame, level = frame.f_back, level + 1

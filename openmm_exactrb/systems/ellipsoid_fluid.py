@@ -14,11 +14,11 @@ from openmm_exactrb.support import checks
 from openmm_exactrb.support.types import Array
 from openmm_exactrb.systems.fluids import add_molecule, rigid_sites
 
-# Of the distance at which neighbours on the lattice touch: closer ones start with the energy of an overlap.
+# Smallest distance of neighbours on the lattice, relative to that at which they touch: closer neighbours overlap.
 _CLOSEST = 0.9
-# Distance of the point that gives the axis from the centre, in diameters.
+# Distance from the centre to the point that defines the axis, in diameters.
 _ARROW = 0.25
-# Sites of the close-packed cubic cell, in its edges.
+# Sites of the close-packed cubic cell, in units of its edges.
 _CELL = np.array([[0.0, 0.0, 0.0], [0.5, 0.5, 0.0], [0.5, 0.0, 0.5], [0.0, 0.5, 0.5]])
 
 
@@ -37,15 +37,15 @@ def ellipsoids(
 ) -> tuple[app.Topology, openmm.System, unit.Quantity]:
     """Build uniaxial ellipsoids in a cubic box, with the potential GB(kappa, kappa_prime, 2, 1) of Gay and Berne.
 
-    See `openmm_exactrb.potentials.GayBerne` for the formula (doi:10.1063/1.441483). The energies are those of OpenMM's
-    GayBerneForce, whose torques are inconsistent with its energies if well depths depend on the direction (OpenMM 8.6).
-    Numbers are in the units stated below, or are Quantities.
+    See `openmm_exactrb.potentials.GayBerne` for the formula (doi:10.1063/1.441483). The energies equal those of
+    OpenMM's GayBerneForce, whose torques are inconsistent with its energies if well depths depend on the direction
+    (OpenMM 8.6). Arguments are numbers in the units stated below, or Quantities.
 
     Parameters
     ----------
     n : int
-        Number of ellipsoids, on a close-packed lattice stretched along z, all parallel to z. 4 k² l ellipsoids, with k
-        about kappa times l, fill the lattice: 36, 288 or 972 for kappa = 3.
+        Number of ellipsoids, which are parallel to z and on a close-packed lattice stretched along z. The lattice has
+        no vacancies for 4 k² l ellipsoids, with k about kappa times l: 36, 288 or 972 for kappa = 3.
     seed : int
         Seed of the positions of vacancies in the lattice, and of the angles about the axes.
     kappa : float
@@ -61,7 +61,7 @@ def ellipsoids(
     density : float, optional
         Ellipsoids per nm³; by default 0.9/(kappa sigma³).
     cutoff, switch : float, optional
-        Distances between centres at which the energy of a pair ends and its switch begins, in nm. By default the
+        Cutoff of the energy of a pair and start of its switch, as distances between centres in nm; by default the
         longest diameter plus sigma, and 0.9 of the cutoff.
 
     Returns
@@ -72,7 +72,7 @@ def ellipsoids(
     system : openmm.System
         Constraints hold the sites together. There are four sites with mass, since three would form a flat body.
     positions : Quantity
-        (n_particles, 3) in nm.
+        Positions (n_particles, 3) in nm.
 
     Raises
     ------
@@ -124,10 +124,10 @@ def _truncation(cutoff: float | None, switch: float | None, kappa: float, sigma:
 
 
 def _lattice(n: int, rng: np.random.Generator, box: float, kappa: float) -> Array:
-    """Return n sites (n, 3) in a unit cube on the roomiest close-packed lattice, with random vacancies.
+    """Return n sites (n, 3) in a unit cube on the close-packed lattice with the most room, with random vacancies.
 
-    Distances are in units of the diameter, and along z of the length, so that touching ellipsoids are at a distance of
-    1.
+    The room is the shortest distance of neighbours. Distances are in units of the diameter, and along z in units of the
+    length, so that ellipsoids touch at a distance of 1.
     """
     layers = [(k, -(-n // (4 * k * k))) for k in range(1, n + 1)]
     room = [_closest(box / k, box / (kappa * m)) for k, m in layers]

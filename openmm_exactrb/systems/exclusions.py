@@ -1,4 +1,4 @@
-"""Exclusion of pairs within rigid bodies, which need no forces."""
+"""Exclusion of pairs of particles within rigid bodies, between which forces have no effect."""
 
 from __future__ import annotations
 
@@ -18,17 +18,19 @@ def exclude_within(system: openmm.System, bodies: Sequence[Sequence[int]]) -> in
     """Exclude all pairs of particles within rigid bodies from the nonbonded forces of a System.
 
     Forces within a body do not move it, so the forces and torques on the bodies remain the same to roundoff. Pressures
-    and barostats do not change either, because OpenMM scales molecules as a whole. The energy changes by a constant,
-    which depends on the parameters of the Context if the energy within bodies does, as in free energy calculations.
+    and the action of barostats do not change either, because OpenMM scales molecules as a whole. The energy changes by
+    a constant, which depends on the parameters of the Context if the energy within bodies does, as in free energy
+    calculations.
 
-    Every `NonbondedForce` and `GayBerneForce` gets exceptions with zero parameters, and every `CustomNonbondedForce`
-    exclusions, for the same pairs, because on GPUs OpenMM requires equal exclusions of all forces. Existing exceptions
-    within bodies, and their parameter offsets, become zero. Call this function before the Context is created.
+    Every `NonbondedForce` and `GayBerneForce` receives exceptions with zero parameters, and every
+    `CustomNonbondedForce` receives exclusions of the same pairs, because OpenMM requires equal exclusions in all forces
+    on GPUs. Existing exceptions within bodies, and their parameter offsets, become zero. Call this function before the
+    Context is created.
 
     Parameters
     ----------
     system : openmm.System
-        The System, which is changed.
+        The System, which is changed in place.
     bodies : sequence of sequences of int
         Particles of the bodies, as for ``bodies=`` of the integrators. They must move as rigid bodies. The smallest
         distance between opposite sides of a periodic box must exceed the length of each body plus the cutoff. A virtual
@@ -58,7 +60,7 @@ def exclude_within(system: openmm.System, bodies: Sequence[Sequence[int]]) -> in
 
 
 def _except(force: Any, within: list[Pair]) -> None:
-    """Give a force exceptions of zero: charge, size and depth, or for a GayBerneForce size and depth."""
+    """Add exceptions to a force such that pairs within bodies do not interact."""
     numbers = (0.0, 1.0, 0.0) if isinstance(force, openmm.NonbondedForce) else (1.0, 0.0)
     present = {_sorted(force.getExceptionParameters(i)[:2]): i for i in range(force.getNumExceptions())}
     for pair in within:

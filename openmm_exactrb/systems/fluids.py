@@ -1,4 +1,4 @@
-"""Ready-made Systems: (topology, system, positions)."""
+"""Functions that build Systems and return (topology, system, positions)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from openmm_exactrb.systems.lattices import cubic_lattice, filling, places_a_sid
 
 _MOMENT = unit.dalton * unit.nanometer**2
 _STIFFNESS = unit.kilojoule_per_mole / unit.nanometer**2
-# Of the smallest to the largest moment: of thinner bodies the distances between sites hold too few digits.
+# Least ratio of the smallest to the largest moment: in thinner bodies distances between sites have too few digits.
 _THINNEST = 1e-6
 #: Distance in nm at which two head-to-tail dipoles of the paper bind: r^9 = 4.
 BINDING_DISTANCE = 4.0 ** (1.0 / 9.0)
@@ -32,25 +32,26 @@ _TETRAHEDRON = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], 
 
 
 def rigid_sites(mass: float | unit.Quantity, inertia: ArrayLike | unit.Quantity) -> Array:
-    """Place equal masses with exactly these principal moments of inertia.
+    """Return the positions of equal masses with exactly these principal moments of inertia.
 
     Parameters
     ----------
     mass : float or Quantity
-        Total mass; in amu without a unit.
+        Total mass, in amu if it has no unit.
     inertia : (3,) array_like or Quantity
-        Principal moments, each at most the sum of the others; in amu nm² without a unit.
+        Principal moments, in amu nm² if they have no unit. Each is at most the sum of the other two.
 
     Returns
     -------
     (3, 3) or (4, 3) array
-        A triangle for a planar body, whose largest moment is the sum of the others, otherwise a tetrahedron. The masses
-        are mass/3 or mass/4, the centre of mass is the origin, and the principal axes are the coordinate axes.
+        Positions in nm: a triangle for a planar body, whose largest moment is the sum of the other two, otherwise a
+        tetrahedron. The masses are mass/3 or mass/4, the centre of mass is the origin, and the principal axes are the
+        coordinate axes.
 
     Raises
     ------
     ValueError
-        If no body has these moments, or it is linear or nearly so.
+        If no body has these moments, or the body is linear or nearly linear.
     """
     each = stripped(inertia, _MOMENT)
     each = [stripped(moment, _MOMENT) for moment in each] if np.iterable(each) else each
@@ -102,7 +103,7 @@ def dipole_fluid(
 ) -> tuple[app.Topology, openmm.System, unit.Quantity]:
     """Build soft dipolar spheres: a droplet, as in section 3.4 of the paper, or a liquid in a periodic box.
 
-    Numbers are in the units stated below, or are Quantities.
+    Arguments are numbers in the units stated below, or Quantities.
 
     Parameters
     ----------
@@ -118,14 +119,14 @@ def dipole_fluid(
     sigma, epsilon : float
         Size (nm) and strength (kJ/mol) of the soft sphere.
     attraction : float
-        0 for soft spheres, 1 for the attraction of the Lennard-Jones potential: the Stockmayer fluid.
+        Factor of the Lennard-Jones attraction: 0 for soft spheres, 1 for the Stockmayer fluid.
     wca : bool
-        With an attraction, whether the Lennard-Jones potential ends at its minimum, so that the spheres only repel each
-        other. No scheme keeps an order above 2 in this case.
+        Whether the Lennard-Jones potential of spheres with an attraction is truncated at its minimum, so that they only
+        repel each other. No scheme keeps an order above 2 in this case.
     spacing : float
         Lattice constant in nm.
     perturbation : float
-        Standard deviation of the positions about the lattice, relative to its constant.
+        Standard deviation of the positions about the lattice, relative to the lattice constant.
     trap : float
         Strength k in kJ/mol/nm² of a harmonic trap k r²/2 about the origin, which acts on the centres. Without a trap,
         a droplet of soft dipoles dissolves into chains, which drift apart.
@@ -135,16 +136,17 @@ def dipole_fluid(
     density : float, optional
         Spheres per nm³ in the box; by default 0.8/sigma³, a liquid.
     sphere_cutoff, sphere_switch : float, optional
-        Distances at which the energy of two spheres in the box ends and its switch begins, in nm. The default cutoff is
-        3 sigma, or half the box if that is less; the switch begins at three quarters of the cutoff. Both are
-        independent of the cutoff of the dipoles, which belongs to the boundary.
+        Cutoff of the energy of two spheres in the box and start of its switch, in nm. The default cutoff is 3 sigma, or
+        half the edge of the box if that is less; the switch begins at three quarters of the cutoff. Both are
+        independent of the cutoff of the dipoles, which the boundary defines.
     shifted : bool
         Whether to subtract the energy of two spheres at the cutoff from their energy.
     long_range_correction : bool, optional
         Whether a second force adds the mean contribution of spheres beyond the cutoff to energy and pressure. By
-        default it does, unless the potential is shifted or ends at its minimum (`wca`).
+        default this force is added in a periodic box, unless the potential is shifted or truncated at its minimum
+        (`wca`).
     kernel : {"auto", "openmm", "bonds", "compiled"}
-        Which force computes the energy; see `soft_dipole_force`. With `Ewald`, "openmm" uses the two forces of
+        Type of the force; see `soft_dipole_force`. With `Ewald`, "openmm" uses the two forces of
         `openmm_exactrb.potentials.dipole_rod_forces`, which stay on a device and reach a tolerance of 1e-4.
 
     Returns
@@ -155,7 +157,7 @@ def dipole_fluid(
     system : openmm.System
         Constraints hold the sites together, and the potential acts on the virtual sites.
     positions : Quantity
-        (n_particles, 3) in nm.
+        Positions (n_particles, 3) in nm.
 
     Raises
     ------
@@ -213,7 +215,7 @@ def _direction_and_strength(dipole: ArrayLike) -> tuple[Array, float]:
 def _sphere_forces(
     added: Sequence[Sequence[int]], particles: int, rod: float, kernel: str, spheres: dict[str, Any]
 ) -> Iterable[openmm.Force]:
-    """Return the forces on molecules with these virtual sites: C, D and, if there is one, the ends of a rod."""
+    """Return the forces on molecules with given virtual sites: C, D and, with a rod, its two ends."""
     if not rod:
         arrows = [(centre, tip) for centre, tip in added]
         return [soft_dipole_force(arrows, length=0.5 * spheres["sigma"], kernel=kernel, **spheres)]
@@ -258,7 +260,7 @@ def add_molecule(
     sites: Array,
     places: Mapping[str, Array],
 ) -> tuple[int, ...]:
-    """Add a rigid molecule with virtual sites at given positions, the last two of them bonded; return the particles."""
+    """Add a rigid molecule with virtual sites at given positions and a bond between the last two; return the sites."""
     first, k = system.getNumParticles(), len(sites)
     particles = list(range(first, first + k))
     residue = topology.addResidue(name, chain)
@@ -278,18 +280,18 @@ def add_molecule(
 def _body_fixed_site(particles: list[int], sites: Array, place: Array) -> openmm.OutOfPlaneSite:
     """Return a virtual site at a position in the principal axes of the body.
 
-    It takes OpenMM a third of the time of a LocalCoordinatesSite.
+    OpenMM computes this type of site in a third of the time of a LocalCoordinatesSite.
     """
     to_second, to_third = sites[1] - sites[0], sites[2] - sites[0]
     normal, place = np.cross(to_second, to_third), place - sites[0]
-    # Cramer's rule, whose bits are those of any machine: LAPACK's are not, and runs are known by the text of a System.
+    # Cramer's rule, unlike LAPACK, gives the same bits on every machine: the text of a System identifies a run.
     columns = np.cross(place, to_third), np.cross(to_second, place), place
     weights = (np.array(columns) * normal).sum(axis=1) / (normal * normal).sum() + _OFF_FRACTIONS
     return openmm.OutOfPlaneSite(*particles[:3], *map(float, weights))
 
 
-# Products with a weight of exactly 1/3 are rounded with a bias, so that the forces which OpenMM shares out have a
-# torque of 1e-14 whose mean is not zero. Other digits average out.
+# Products with a weight of exactly 1/3 are rounded with a bias, so that the forces that OpenMM distributes from a site
+# have a torque of 1e-14 with a nonzero mean. With other weights the rounding errors average out.
 _OFF_FRACTIONS = np.array([3e-14, -5e-14, 0.0])
 
 
@@ -328,7 +330,7 @@ def rigid_water(
     topology : openmm.app.Topology
     system : openmm.System
     positions : Quantity
-        (n_particles, 3) in nm. Minimise the energy before a run.
+        Positions (n_particles, 3) in nm. Minimise the energy before a run.
 
     Raises
     ------

@@ -6,12 +6,12 @@ import numpy as np
 
 from openmm_exactrb.support.types import Array
 
-# Number of places from which on a lattice is looked for among fewer vectors.
+# Number of sites from which on fewer vectors are tried for a lattice.
 _MANY = 100
 
 
 def places_a_side(n: int) -> int:
-    """Return the number of lattice sites along an edge of the smallest cube with n sites."""
+    """Return the number of lattice sites along an edge of the smallest cube with at least n sites."""
     return next(k for k in range(1, n + 1) if k**3 >= n)
 
 
@@ -23,9 +23,10 @@ def cubic_lattice(n: int) -> Array:
 def filling(n: int) -> tuple[Array, float]:
     """Return n sites (n, 3) that fill a periodic cube without vacancies at density 1, and the edge of the cube.
 
-    They form a cubic lattice if n is a cube; otherwise they are the multiples of a vector (1, a, b)/n of the edge: the
-    first found with distances as large as in a cubic lattice, or the one with the largest. For large n, b = a² is used
-    (N. M. Korobov; I. H. Sloan and S. Joe, Lattice Methods for Multiple Integration, 1994).
+    The sites form a cubic lattice if n is a cube. Otherwise they are the multiples of a vector (1, a, b)/n, in units of
+    the edge. The vector is the first one whose multiples are at least as far apart as in a cubic lattice, or otherwise
+    the one with the largest shortest distance. For n of 100 or more, only b = a² is tried (Korobov; Sloan and Joe,
+    Lattice Methods for Multiple Integration, 1994).
     """
     k = places_a_side(n)
     if k**3 == n:

@@ -22,16 +22,16 @@ def heavy_hydrogens(
     The mass of each molecule does not change. Librations of water and vibrations of angles with hydrogen become slower,
     which allows longer steps.
 
-    The dynamics changes: rotation, because the moments of inertia change; vibrations of hydrogen; and, by several
-    percent, diffusion and viscosity. Averages of positions do not depend on masses for rigid molecules or atoms without
-    constraints. If several bonds of one atom are constrained, as with HBonds, the angles between these bonds have a
-    small weight sqrt(det(J M^-1 J^T)) that depends on the masses: for two bonds of a carbon with hydrogens of 3 amu, it
-    amounts to 0.005 kT at 10 degrees from the tetrahedral angle.
+    The dynamics changes: rotations, through the moments of inertia, vibrations of hydrogens, and, by several percent,
+    diffusion and viscosity. For rigid molecules, and for atoms without constraints, averages of functions of positions
+    do not depend on masses. If several bonds of one atom are constrained, as with HBonds, the distribution of the
+    angles between these bonds has a weight sqrt(det(J M^-1 J^T)) that depends on the masses. For two bonds of a carbon
+    with hydrogens of 3 amu, the weight amounts to 0.005 kT at 10 degrees from the tetrahedral angle.
 
     Parameters
     ----------
     system : openmm.System
-        The System, which is changed.
+        The System, which is changed in place.
     topology : openmm.app.Topology
         The Topology, with the elements of the atoms and their bonds.
     mass : float or Quantity
@@ -67,7 +67,7 @@ def heavy_hydrogens(
         raise ValueError("no atom of the Topology has the element hydrogen: give its atoms their elements")
     for hydrogen in hydrogens:
         if left[hydrogen.index] == 0.0 or (not water and _is_water(hydrogen.residue)):
-            continue  # what has no mass does not move
+            continue  # massless atoms do not move
         if hydrogen.index not in bearers:
             raise ValueError(
                 f"{_name(hydrogen)} is not bonded to a heavier atom in the Topology, from which its mass could come: "

@@ -1,8 +1,9 @@
 """The cheapest scheme and step for an energy error on a user's own system.
 
-`tune` in `advice` has three layers. Measurement: `initial_state` reads the arguments, `preparation` brings the system
-to a temperature, `benchmark` runs the methods within the `budget`, `error` extrapolates their energy errors, and
-`measurements` keeps them. `search` decides what to measure. `result` is the answer, as an object and text.
+`tune` in `advice` combines measurement, search and result. For measurement, `initial_state` reads the arguments,
+`preparation` brings the system to a temperature, `benchmark` runs the methods within the `budget`, `error` extrapolates
+their energy errors, and `measurements` stores these errors. `search` decides which methods and steps are measured.
+`result` contains the answer, as an object and as text.
 """
 
 from openmm_exactrb.tuning.advice import tune

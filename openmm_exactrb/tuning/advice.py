@@ -25,16 +25,17 @@ from openmm_exactrb.tuning.search import COARSE, RATIO, probed, search
 
 __all__ = ["CANDIDATES", "progress", "tune"]
 
-#: Seconds of processor time that a tuning takes at most.
+#: Default limit of the processor time of a tuning, in seconds.
 BUDGET = 120.0
 
-# Length of survey runs in characteristic times, the least of it, and of production runs in survey runs. The survey of a
-# named horizon takes a tenth of it, up to this many times its usual length.
+# Length of survey runs and its minimum, in characteristic times, and length of production runs in survey runs. With a
+# given horizon, survey runs take a tenth of it, up to the last number times their usual length.
 _SURVEY, _SHORTEST, _LONGER, _LONGEST = 100.0, 30.0, 10.0, 4.0
-# Parts of the force evaluations that the budget allows: for the survey, and for production runs. Steps to the target,
-# the time per evaluation near it over the characteristic time, and how many settings are run until one meets it.
+# Fractions of the force evaluations that the budget allows, for the survey and for production runs. Number of step
+# sizes down to the target, time per evaluation near the target in characteristic times, and number of settings that are
+# run until one meets the target.
 _OF_SURVEY, _OF_PRODUCTION, _DEEP, _NEAR, _ATTEMPTS = 0.5, 0.4, 8, 0.15, 1.7
-# Schemes that are tried even if that makes the survey short.
+# Number of schemes that are tried even if the survey becomes short.
 _FEWEST = 4
 
 
@@ -63,14 +64,15 @@ def tune(
 ) -> Tuning:
     """Find the cheapest scheme and step for an energy error, by measuring schemes on a system.
 
-    The error is the standard deviation of the total energy within an NVE run as long as `horizon`, in kJ/mol per body
-    (rigid bodies and single particles). Limits that apply to every scheme are reported first; if the target is clearly
-    below them, the remaining work is skipped. Survey runs are as long as `duration`, and their errors are extrapolated
-    to the horizon using the growth of the variance. The recommended setting is then run over the whole horizon from
-    three starts: the given one, and two others at its temperature. The promised error is the largest of the three,
-    increased if the error depends so steeply on the step that another start may have a larger error. Costs are measured
-    as in `Simulation.step`, which calls the integrator every ten steps. If the System has bonds and angles that are not
-    constrained, schemes with ``fast="bonded"`` are tried too: those of `schemes`, or `NESTED_CANDIDATES`.
+    The error is the standard deviation of the total energy within an NVE run of length `horizon`, in kJ/mol per body
+    (rigid bodies and single particles). Limits that apply to every scheme are reported first; if the target is less
+    than half the error due to the forces, the search is skipped. Survey runs have the length `duration`, and their
+    errors are extrapolated to the horizon using the growth of the variance. The recommended setting is then run over
+    the whole horizon from three starts: the given start, and two others at its temperature. The promised error is the
+    largest of the three errors, increased if the error depends so steeply on the step that another start may have a
+    larger error. Costs are measured as in `Simulation.step`, which calls the integrator once per ten steps. If the
+    System has bonds and angles that are not constrained, schemes with ``fast="bonded"`` are tried too: those of
+    `schemes`, or `NESTED_CANDIDATES`.
 
     Parameters
     ----------
@@ -78,7 +80,8 @@ def tune(
         A Simulation also provides its state, box, parameters, platform, active force groups and bodies named by hand.
         Errors and costs are measured without its thermostats, barostats and motion removers.
     start : openmm.State or (n, 3) array or Quantity, optional
-        A State with positions and velocities, preferably of an equilibrated run; or positions, in nm without a unit.
+        A State with positions and velocities, preferably of an equilibrated run, or positions, in nm if they have no
+        unit.
     target : float, optional
         Standard deviation of the total energy to be reached, in kJ/mol per body. Without a target all step sizes are
         measured, and the result provides settings for any error.
@@ -87,32 +90,33 @@ def tune(
         catalogue. OpenMM's VerletIntegrator is measured too if constraints hold all bodies; if it fails, the result
         states the failure.
     velocities : (n, 3) array or Quantity, optional
-        With positions, in nm/ps without a unit.
+        Velocities for a start given by positions, in nm/ps if they have no unit.
     temperature : float or Quantity, optional
-        In K, required if all velocities are zero. Positions without velocities are minimised; Langevin dynamics of this
-        package then brings the start to the temperature.
+        Temperature in K, required if all velocities are zero. Positions without velocities are minimised; Langevin
+        dynamics of this package then brings the start to the temperature.
     platform : str or openmm.Platform, optional
-        By default the one named by OPENMM_DEFAULT_PLATFORM, otherwise the fastest except for OpenCL on a CPU.
+        By default the platform named by OPENMM_DEFAULT_PLATFORM, otherwise the fastest one except for OpenCL on a CPU.
     properties : mapping, optional
         Properties of the platform; by default mixed precision if there is a choice.
     bodies : sequence of sequences of int, optional
-        As in `ExactRigidBodyIntegrator`; by default those of the integrator of a Simulation.
+        Bodies named by hand, as in `ExactRigidBodyIntegrator`; by default those of the integrator of a Simulation.
     horizon : float or Quantity, optional
-        Length of the production runs for which errors are promised, in ps without a unit; by default ten times
+        Length of the production runs for which errors are promised, in ps if it has no unit; by default ten times
         `duration`, or less if the budget does not allow that.
     budget : float or Quantity, optional
-        Processor time that may be used, in s without a unit, by default two minutes. If it is not sufficient for the
+        Processor time that may be used, in s if it has no unit; by default two minutes. If it is not sufficient for the
         production runs, the recommendation relies on the survey alone, and the result says so.
     duration : float or Quantity, optional
-        Length of the survey runs, in ps without a unit. By default 100 divided by the root mean square frequency of the
-        system (1.5 ps for water), or a tenth of a given horizon if that is longer, up to four times as long; less if
-        the budget requires it.
+        Length of the survey runs, in ps if it has no unit. The default is 100 divided by the root mean square frequency
+        of the system (1.5 ps for water), or a tenth of a given horizon if that is longer, up to four times this length.
+        It is shorter if the budget requires it.
     levels : int, optional
-        Largest number of step sizes, from the largest stable one downwards by factors of sqrt(2).
+        Largest number of step sizes, which decrease from the largest stable one by factors of sqrt(2).
     seed : int, optional
         Seed of the momenta.
     report : callable, optional
-        Called with a line of text per run; by default it is written to stderr. None for no output.
+        Function that is called with a line of text per run. The default writes to stderr, and None suppresses the
+        output.
 
     Returns
     -------
@@ -137,7 +141,7 @@ def tune(
     methods = [Method(scheme) for scheme in plain]
     methods += [Method(scheme, nested=True) for scheme in nested if benchmark.nests]
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", StepSizeWarning)  # too long steps are tried on purpose
+        warnings.simplefilter("ignore", StepSizeWarning)  # steps that are too long are tried on purpose
         methods, survey, production = _plan(benchmark, methods, survey, production, free=schemes is None)
         tell(
             f"{len(methods)} methods, {survey:.3g} ps each; errors hold for {production:.3g} ps "
@@ -177,10 +181,10 @@ def _in_motion(
 def _plan(
     benchmark: Benchmark, methods: list[Method], survey: float | None, horizon: float | None, free: bool
 ) -> tuple[list[Method], float, float]:
-    """Return methods and lengths of runs that fit into the budget; those that the user named are kept."""
+    """Return methods and lengths of runs that fit into the budget; those given by the user are kept."""
     time = benchmark.characteristics.time
     affordable = benchmark.evaluations_left()
-    deep = sum(RATIO**level / COARSE for level in range(_DEEP))  # evaluations of a method a characteristic time
+    deep = sum(RATIO**level / COARSE for level in range(_DEEP))  # evaluations of a method per characteristic time
     usual = _SURVEY * time
     if survey is None and horizon is not None:
         usual = min(max(usual, horizon / _LONGER), _LONGEST * usual)

@@ -1,4 +1,4 @@
-"""The methods that are compared, and their runs from several starts: energies and times."""
+"""The methods that are compared, and their runs from several starts, which yield energies and times."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from openmm_exactrb.tuning.budget import Budget
 from openmm_exactrb.tuning.initial_state import InitialState, others
 from openmm_exactrb.tuning.preparation import characteristics, diverging
 
-#: Schemes that are tried by default: each is the cheapest at some accuracy on some system. Where the budget does not
-#: allow all of them, the first ones are tried.
+#: Schemes that are tried by default: each is the cheapest at some accuracy on some system. If the budget does not allow
+#: all of them, the first ones are tried.
 CANDIDATES = (
     "W4_4",
     "W2_1",
@@ -41,25 +41,25 @@ CANDIDATES = (
     "SRKN6_14a",
 )
 
-#: Schemes that are tried with nested bonded forces by default, in the same order.
+#: Schemes that are tried with nested bonded forces by default, in order of preference.
 NESTED_CANDIDATES = ("W2_1", "S2_2", "W4_4", "SRKN4_6b", "W2_4", "W4_5", "S2_3", "W2_5", "ABA_8_6_4")
 
 #: Name of the baseline: OpenMM's leapfrog with constraints.
 VERLET = "VerletIntegrator"
 
-#: End of the name of a scheme with nested bonded forces.
+#: Suffix of the name of a scheme with nested bonded forces.
 NESTED = " nested"
 
-#: Starts of the runs that a promise rests on.
+#: Number of starts from which a promised error is measured.
 STARTS = 3
 
-# Energies of a run, and the fewest.
+# Usual number of energies of a run, and the smallest number.
 _SAMPLES, _FEWEST_SAMPLES = 300, 48
-# Steps of a call of the integrator by Simulation.step.
+# Number of steps in a call of the integrator by Simulation.step.
 _CALL = 10
-# Step over the characteristic time of the run that shows how long a force evaluation takes.
+# Step, in characteristic times, of the run that measures the time of a force evaluation.
 _BRIEF = 0.05
-# A run is unstable once its total energy is off by this fraction of the kinetic energy.
+# A run is unstable once its total energy has changed by this fraction of the kinetic energy.
 _LOST = 0.1
 
 
@@ -95,7 +95,7 @@ class Method:
 
 
 def schemes_named(names: str | Scheme | Sequence[str | Scheme]) -> list[Scheme]:
-    """Return the schemes that a user names, without repetitions; ValueError for unknown or ambiguous names."""
+    """Return the schemes that a user names, without repetitions; raise ValueError for unknown or ambiguous names."""
     schemes = [look_up(name) for name in ([names] if isinstance(names, (str, Scheme)) else names)]
     if not schemes:
         raise ValueError(f"schemes is empty: name some of {', '.join(CATALOGUE)}")
@@ -112,24 +112,24 @@ class Energies(NamedTuple):
 
     #: In kJ/mol per body, at equal times.
     values: NDArray[np.float64]
-    #: Time between two of them in ps.
+    #: Time between two energies in ps.
     interval: float
     #: Wall time in s per force evaluation.
     seconds: float
-    #: Evaluations of nested forces per evaluation of the others.
+    #: Evaluations of nested forces per evaluation of the other forces.
     nested: float
 
 
 class SchemeUnderTest:
-    """A scheme with the exact rotor, on the engine that the integrator of a choice will have."""
+    """A scheme with the exact rotor, on the engine that a recommended integrator will use."""
 
     def __init__(self, start: InitialState, method: Method) -> None:
         options: dict[str, Any] = {"scheme": method.scheme, "fast": "bonded" if method.nested else None}
         make = functools.partial(ExactRigidBodyIntegrator, 1e-6, bodies=start.bodies, **options)
         self.integrator = make()
         self.context = start.context(self.integrator)
-        if (engine := self.integrator.getEngine()) != "host":  # chosen by name, it is kept when the step changes
-            own = copy.deepcopy(start.system)  # to which an engine may add forces
+        if (engine := self.integrator.getEngine()) != "host":  # an engine chosen by name is kept when the step changes
+            own = copy.deepcopy(start.system)  # an engine may add forces to this copy
             self.integrator = make(engine=engine)
             self.context = replace(start, system=own).context(self.integrator)
         self.timings = self.integrator.timings
@@ -150,7 +150,7 @@ class SchemeUnderTest:
 
 
 class VerletUnderTest(SchemeUnderTest):
-    """OpenMM's leapfrog, which interprets the velocities of the start as those half a step earlier."""
+    """OpenMM's leapfrog, which interprets the velocities of the start as velocities half a step earlier."""
 
     def __init__(self, start: InitialState) -> None:
         self.integrator, self.timings, self._groups = openmm.VerletIntegrator(1e-6), Timings(), start.groups
@@ -172,11 +172,11 @@ class VerletUnderTest(SchemeUnderTest):
 
 
 class Benchmark:
-    """Runs methods on a System that conserves its energy, from several starts and within a budget."""
+    """Runs of methods on a System that conserves its energy, from several starts and within a budget."""
 
     def __init__(self, state: InitialState, budget: Budget, seed: int = 0) -> None:
         integrator, context = state.probe()
-        #: Of the initial state.
+        #: Characteristics of the initial state.
         self.characteristics = characteristics(integrator, context)
         now = context.getState(positions=True, forces=True, groups=state.groups)
         if not now.getForces(asNumpy=True)._value.any():
@@ -184,7 +184,7 @@ class Benchmark:
         bodies, bodies_state = integrator.bodyState()
         context.setPositions(bodies.positions(bodies_state, now.getPositions(asNumpy=True)._value))
         context.computeVirtualSites()
-        #: The initial state: molecules are rigid, and not split by the periodic box.
+        #: The initial state, with molecules that are rigid and not split by the periodic box.
         self.state = state.updated(context)
         self.budget, self._seed = budget, seed
         #: Processor time in s of a force evaluation in the last run; 0 before the first.
@@ -193,18 +193,18 @@ class Benchmark:
 
     @functools.cached_property
     def starts(self) -> list[InitialState]:
-        """The initial state, and others at its temperature."""
+        """The initial state, and other states at its temperature."""
         self.budget.require()
         return others(self.state, STARTS, self._seed)
 
     @property
     def has_baseline(self) -> bool:
-        """Whether constraints hold all bodies, so that OpenMM's Verlet integrator moves the same ones."""
+        """Whether constraints define all bodies, so that OpenMM's VerletIntegrator moves the same bodies."""
         return self.state.bodies is None and self.state.system.getNumConstraints() > 0
 
     @functools.cached_property
     def nests(self) -> bool:
-        """Whether there are bonded forces to be nested, and others."""
+        """Whether there are bonded forces that can be nested, and other forces."""
         integrator, _context = self.state.probe(fast="bonded")
         try:
             integrator.bodyState()
@@ -213,9 +213,9 @@ class Benchmark:
         return True
 
     def evaluations_left(self) -> float:
-        """Return the number of force evaluations that the budget allows, after timing a few."""
+        """Return the number of force evaluations that the rest of the budget allows, from the time of short runs."""
         step = _BRIEF * self.characteristics.time
-        for _ in range(2):  # the first compiles kernels
+        for _ in range(2):  # the first run compiles kernels
             self.run(Method(CATALOGUE["V2"]), step, _FEWEST_SAMPLES * step, self.state)
         return self.budget.left / self.processor
 
@@ -229,8 +229,8 @@ class Benchmark:
     def run(self, method: Method, step: float, duration: float, start: InitialState) -> Energies | None:
         """Run a method for a duration, both in ps.
 
-        Return None if the run diverges or changes the energy by a tenth of the kinetic energy, or OpenMM's integrator
-        fails. BudgetSpentError is raised before or during a run that the budget does not allow.
+        Return None if the run diverges, the energy changes by a tenth of the kinetic energy or more, or OpenMM's
+        integrator fails. BudgetSpentError is raised before or during a run that the budget does not allow.
         """
         self.budget.require(self.processor * method.stages * duration / step)
         tested, begun = self.under_test(method), time.process_time()
@@ -244,7 +244,7 @@ class Benchmark:
                 raise
             return None
         finally:
-            if tested.timings.evaluations >= _FEWEST_SAMPLES:  # fewer show what a start costs
+            if tested.timings.evaluations >= _FEWEST_SAMPLES:  # fewer would measure the cost of a start
                 self.processor = (time.process_time() - begun) / tested.timings.evaluations
 
     def _energies(self, tested: SchemeUnderTest, step: float, duration: float, start: InitialState) -> Energies | None:

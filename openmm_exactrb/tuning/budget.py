@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import time
 
-# What is kept for the last samples of a run and for the result.
+# Fraction of the budget reserved for the last samples of a run and for the result.
 _KEPT = 0.03
 
 
 class BudgetSpentError(RuntimeError):
-    """The budget does not allow the next run."""
+    """Raised if the budget does not allow the next run."""
 
 
 class Budget:
@@ -21,10 +21,10 @@ class Budget:
 
     @property
     def left(self) -> float:
-        """Remaining seconds, without a reserve."""
+        """Remaining seconds minus the reserve."""
         return (1.0 - _KEPT) * self.seconds - (time.process_time() - self._begun)
 
     def require(self, seconds: float = 0.0) -> None:
-        """Raise BudgetSpentError if less time is left."""
+        """Raise BudgetSpentError if less than the given time is left."""
         if self.left < seconds:
             raise BudgetSpentError(f"the budget of {self.seconds:g} s of processor time is spent: pass a larger one")

@@ -9,11 +9,12 @@ import numpy as np
 from openmm_exactrb.support.types import Array
 
 _WINDOWS = (8, 4, 2, 1)
-# A drift is the slope of the means of this many parts of a run. Their differences show how they scatter about a line:
-# the squared differences of independent means are twice their squared residuals, those of a random walk far less.
+# A drift is the slope of the means of this many parts of a run. The differences of successive residuals from a line
+# show how the means scatter: for independent means, their sum of squares is twice that of the residuals, and far less
+# for a random walk.
 _PARTS, _SCATTER = 16, 1.5
-# A slope is a drift above this many standard errors of its own. One random walk in 25 is mistaken for a drift, and few
-# oscillations are.
+# A slope is a drift if it exceeds this many of its standard errors. One random walk in 25 is then mistaken for a drift,
+# and few oscillations are.
 _SIGNIFICANT = 4.0
 
 
@@ -21,15 +22,15 @@ def expected_error(energies: Array, interval: float, horizon: float) -> float:
     """Extrapolate the standard deviation of an energy to a longer run.
 
     A significant drift is extrapolated linearly. The variance of the remainder within windows of 1/8, 1/4, 1/2 and all
-    of the run is fitted by a power of their length and extrapolated to the horizon. The power is kept between 0 (the
-    energy oscillates about a mean) and 1 (it is a random walk). A single run determines a random walk poorly, so its
-    contribution is increased by up to a half; how often longer runs still exceed the result is tabulated in the
-    documentation ("How long advice holds").
+    of the run is fitted by a power of the length of the windows and extrapolated to the horizon. The power is kept
+    between 0 (the energy oscillates about a mean) and 1 (the energy is a random walk). A single run determines a random
+    walk poorly, so the contribution of the remainder is increased by up to a half. The documentation ("How long advice
+    holds") tabulates how often longer runs still exceed the result.
 
     Parameters
     ----------
     energies : (n,) array
-        Energies at equal intervals; n is 16 or more.
+        Energies at equal intervals of time, where n is at least 16.
     interval, horizon : float
         Time between two energies, and length of the longer run, in the same unit.
     """
@@ -47,7 +48,7 @@ def expected_error(energies: Array, interval: float, horizon: float) -> float:
 
 
 def _drift(energies: Array) -> float:
-    """Return the drift of an energy over all of a run, zero if it is not significant.
+    """Return the drift of an energy over the whole run, or zero if it is not significant.
 
     The standard error of the slope is that of independent means or of a random walk, whichever fits the data.
     """

@@ -1,4 +1,4 @@
-"""The lower bound of the energy error of all integrators: forces that are not the gradient of the energy."""
+"""Causes of a lower bound of the energy error of all integrators: forces that are not the gradient of the energy."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from collections.abc import Iterator
 
 import openmm
 
-#: Of ``ewaldErrorTolerance``: a looser one shows with the best schemes.
+#: Recommended ``ewaldErrorTolerance``: a larger tolerance limits the energy error of the best schemes.
 TIGHT = 1e-5
 
 
 def causes(system: openmm.System) -> Iterator[str]:
-    """Yield the settings of a System that limit the energy error of every integrator, with the remedy."""
+    """Yield the settings of a System that limit the energy error of every integrator, with remedies."""
     for force in system.getForces():
         if not isinstance(force, (openmm.NonbondedForce, openmm.CustomNonbondedForce)):
             continue
@@ -30,6 +30,6 @@ def causes(system: openmm.System) -> Iterator[str]:
 
 
 def _chosen(force: openmm.NonbondedForce) -> tuple[float, ...]:
-    """Return the parameters of PME if the user set them, so that the tolerance has no effect, or zeros."""
+    """Return the parameters of PME that the user set, with which the tolerance has no effect, or zeros."""
     alpha, *grid = force.getPMEParameters()
     return (alpha._value if hasattr(alpha, "_value") else alpha, *grid)

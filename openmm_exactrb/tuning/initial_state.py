@@ -25,9 +25,9 @@ from openmm_exactrb.thermostats import ExactRigidBodyLangevinIntegrator
 from openmm_exactrb.tuning.budget import Budget
 from openmm_exactrb.tuning.preparation import heat, minimise
 
-# Part of the budget that bringing a start to a temperature may take.
+# Largest fraction of the budget for bringing a start to a temperature.
 _SHARE = 0.33
-# Accepted deviation of the kinetic energy: a fraction, since a large system absorbs heat, and standard deviations.
+# Accepted deviation of the kinetic energy: a fraction, because a large system absorbs heat, plus standard deviations.
 _SLACK, _DEVIATIONS = 0.1, 5.0
 # Parts of Langevin dynamics between two starts.
 _APART = 4
@@ -35,7 +35,7 @@ _APART = 4
 
 @dataclass(frozen=True)
 class InitialState:
-    """A System, a state of it, and the platform that computes its forces."""
+    """A System, its state, and the platform that computes its forces."""
 
     system: openmm.System
     #: Positions, velocities, box and parameters.
@@ -64,14 +64,14 @@ class InitialState:
         return integrator, self.context(integrator)
 
     def langevin(self, temperature: float, seed: int) -> tuple[ExactRigidBodyLangevinIntegrator, openmm.Context]:
-        """Return an integrator at a temperature in K, and its Context in this state."""
+        """Return a Langevin integrator at a temperature in K, and its Context in this state."""
         integrator = ExactRigidBodyLangevinIntegrator(temperature, 0.0, 1e-6, bodies=self.bodies, engine="host")
         integrator.setRandomNumberSeed(seed + 1)
         return integrator, self.context(integrator)
 
 
 def conservative(system: openmm.System) -> tuple[openmm.System, list[str]]:
-    """Return a copy of a System without thermostats, barostats and motion removers, and the names of these."""
+    """Return a copy of a System without thermostats, barostats and motion removers, and the names of those removed."""
     twin, left_out = copy.deepcopy(system), []
     for i in reversed(range(twin.getNumForces())):
         name = type(twin.getForce(i)).__name__
@@ -148,7 +148,7 @@ def thermalised(state: InitialState, temperature: float, seed: int, minimised: b
 
 
 def others(state: InitialState, number: int, seed: int) -> list[InitialState]:
-    """Return a state and others at its temperature, separated by short runs with friction.
+    """Return a state and other states at its temperature, separated by short runs with friction.
 
     A ValueError is raised if no part of such a run succeeds.
     """

@@ -14,10 +14,10 @@ from openmm_exactrb.tuning.error import expected_error
 
 Report = Callable[[str], None]
 
-# Another start is as if the step were longer by this: where the curve is steeper than the order of the method, its
-# error differs by more than the starts that were run show.
+# The error from another start may be as large as at a step longer by this factor. Where the curve is steeper than the
+# order of the method, such an error exceeds those of the starts that were run.
 _LONGER = 1.05
-#: Margin of what rests on fewer runs than a promise should.
+#: Factor for errors that are measured in fewer runs than a promised error requires.
 UNSURE = 1.5
 
 
@@ -29,7 +29,7 @@ class Point:
     method: str
     #: Step of the whole scheme in ps.
     step: float
-    #: Standard deviation in kJ/mol per body to expect over the horizon; infinite if a run failed or was unstable.
+    #: Expected standard deviation over the horizon in kJ/mol per body; infinite if a run failed or was unstable.
     error: float
     #: Wall time in s per ps.
     cost: float
@@ -38,9 +38,9 @@ class Point:
 
 
 def stable_curve(points: Sequence[Point], method: str) -> list[Point]:
-    """Return the points of a method with steps below its smallest unstable one, cheapest first.
+    """Return the points of a method with steps below its smallest unstable step, cheapest first.
 
-    Points are omitted if a longer run with no larger step has a larger error.
+    A point is omitted if a longer run with the same or a smaller step has a larger error.
     """
     own = [p for p in points if p.method == method]
     limit = min((p.step for p in own if math.isinf(p.error)), default=math.inf)
@@ -53,7 +53,7 @@ def _contradicts(longer: Point, point: Point) -> bool:
 
 
 def cost_at(curve: Sequence[Point], error: float) -> float | None:
-    """Return the cost at which a curve reaches an error, log-linear between points; None if it does not reach it."""
+    """Return the cost at which a curve, log-linear between points, reaches an error, or None if it does not."""
     i = next((i for i, point in enumerate(curve) if point.error <= error), None)
     if not i:
         return None if i is None else curve[0].cost
@@ -63,13 +63,13 @@ def cost_at(curve: Sequence[Point], error: float) -> float | None:
 
 
 def step_at(curve: Sequence[Point], cost: float) -> float:
-    """Return the step with a given cost, if a force evaluation takes as long as at the nearest point."""
+    """Return the step with a given cost, assuming that a force evaluation takes as long as at the nearest point."""
     nearest = min(curve, key=lambda p: abs(math.log(p.cost / cost)))
     return nearest.step * (nearest.cost / cost)
 
 
 class Measurements:
-    """Points of methods, which are measured on request and kept.
+    """Points of methods, which are measured on request and stored.
 
     The baseline is added to the methods if it moves the same bodies. Survey runs last `duration` and production runs
     `horizon`, in ps. `report` receives a line of text per point.
@@ -83,7 +83,7 @@ class Measurements:
         #: Whether the budget ended a search, or the runs of a promise.
         self.cut = False
         self._points: list[Point] = []
-        # Wall time in s of a force evaluation with what is nested in it, and nested evaluations for each, at a step.
+        # Wall time in s of a force evaluation with the evaluations nested in it, and their number, by method and step.
         self._taken: dict[tuple[str, float], tuple[float, float]] = {}
 
     @property
@@ -92,7 +92,7 @@ class Measurements:
         return [replace(p, cost=self._cost(p)) for p in self._points]
 
     def at(self, name: str, interval: float) -> Point:
-        """Return the point of the survey at a time per force evaluation in ps."""
+        """Return the point of the survey for a method at a given time per force evaluation in ps."""
         method = self.methods[name]
         step = method.stages * interval
         run = self._run(method, step, self.duration, 0)
@@ -100,10 +100,10 @@ class Measurements:
         return self._kept(Point(name, step, error, math.nan, self.duration))
 
     def promised(self, name: str, step: float, target: float) -> Point:
-        """Return the point of the production runs: their largest error, with a margin where the curve is steep.
+        """Return the point of production runs, with their largest error and a margin where the curve is steep.
 
-        The runs end with the first that misses the target. If the budget ends them, a margin replaces the missing
-        errors.
+        The runs end with the first one that misses the target. If the budget ends the runs earlier, the error is
+        increased by a margin for the missing runs.
         """
         steeper = max(self.slope(name, step) - self.methods[name].order, 0.0)
         errors, margin = [0.0], _LONGER**steeper
@@ -158,11 +158,11 @@ class Measurements:
         return [name for name in self.methods if name != VERLET and self.curve(name)]
 
     def curve(self, name: str) -> list[Point]:
-        """Return the stable points of a method that no longer run contradicts, cheapest first."""
+        """Return the stable points of a method, cheapest first, without those that a longer run contradicts."""
         return stable_curve(self.points, name)
 
     def slope(self, name: str, step: float) -> float:
-        """Return the power of the step in the error of the survey around a step.
+        """Return the exponent with which the error of the survey depends on the step around a given step.
 
         It is computed from the nearest step on each side; with a single step it is the order of the method.
         """

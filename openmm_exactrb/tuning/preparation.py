@@ -1,4 +1,4 @@
-"""The preparation of an equilibrated start from positions, by the minimiser and integrator of this package.
+"""The preparation of an equilibrated start from positions, with the minimiser and integrator of this package.
 
 OpenMM's own minimiser and integrators fail for rigid molecules with redundant constraints, such as CO2 or CH4.
 """
@@ -20,17 +20,17 @@ from openmm_exactrb.mechanics.divergence import IntegrationError, NonFiniteError
 from openmm_exactrb.mechanics.minimise import MinimisationWarning
 from openmm_exactrb.thermostats import ExactRigidBodyLangevinIntegrator
 
-# Extent in nm that a particle is given, which has no shape.
+# Extent in nm that is assigned to a particle, which has no shape.
 _EXTENT = 0.1
-# Of the Langevin dynamics: step, least and largest friction over the characteristic time, the shortest step over the
-# time of free bodies, and the steps after which the characteristic time is found again.
+# Langevin dynamics: step in characteristic times, smallest and largest friction in inverse characteristic times,
+# shortest step in times of free bodies, and number of steps after which these times are recomputed.
 _STEP, _WEAKEST, _STRONGEST, _SHORTEST, _STEPS = 0.07, 0.2, 1.0, 1e-3, 75
-# How far in nm a body of the mean mass flies in a step at most, in case it meets another, and how often the step is
-# halved after one that diverges.
+# Largest distance in nm that a body of the mean mass flies in a step, since it may meet another, and the number of
+# times that the step is halved after a divergence.
 _FLIGHT, _HALVINGS = 0.003, 4
-# Times in which friction takes the momentum away, in a length that is named.
+# Least number of relaxation times of the momentum in a given length.
 _RELAXED = 10.0
-#: Parts of so many steps that bring a start to a temperature.
+#: Number of parts, of `_STEPS` steps, that bring a start to a temperature.
 PARTS = 16
 _ITERATIONS, _TOLERANCE = 100, 10.0  # enough to remove overlaps; the minimiser need not converge
 
@@ -38,7 +38,7 @@ _ITERATIONS, _TOLERANCE = 100, 10.0  # enough to remove overlaps; the minimiser 
 class Characteristics(NamedTuple):
     """Size and characteristic times of a system."""
 
-    #: Rigid bodies, and other particles.
+    #: Number of rigid bodies and other particles.
     n_bodies: int
     #: Kinetic energy in kJ/mol per body.
     kinetic: float
@@ -47,7 +47,7 @@ class Characteristics(NamedTuple):
     time: float
     #: Time in ps in which free bodies turn by a radian, and particles without a shape fly over 0.1 nm.
     free: float
-    #: In nm/ps, of a thermal component of the velocity at the mean mass.
+    #: Root mean square of a component of the velocity at the mean mass, in nm/ps.
     speed: float
 
 
@@ -72,7 +72,7 @@ def characteristics(integrator: ExactRigidBodyIntegrator, context: openmm.Contex
 
 
 def _free_time(bodies: RigidBodies, kT: float) -> float:
-    """Return the time in which bodies turn by a radian or cross their extent: 1/rms of the inverse times."""
+    """Return the time in which bodies turn by a radian or cross their extent, from the rms of the inverse times."""
     moments = np.broadcast_to(bodies.inertia, (bodies.n_turning, 3))
     moments = moments[moments > 0.0]
     inverse = np.concatenate([1.0 / moments, 1.0 / (bodies.mass[bodies.n_turning :] * _EXTENT**2)])
@@ -81,7 +81,7 @@ def _free_time(bodies: RigidBodies, kT: float) -> float:
 
 @contextlib.contextmanager
 def diverging() -> Iterator[None]:
-    """Turn OpenMM's exception for NaN coordinates into NonFiniteError; other exceptions pass."""
+    """Turn OpenMM's exception for NaN coordinates into NonFiniteError; other exceptions are passed on."""
     try:
         yield
     except openmm.OpenMMException as error:
@@ -98,7 +98,7 @@ def minimise(integrator: ExactRigidBodyIntegrator) -> None:
             integrator.minimizeEnergy(_TOLERANCE, _ITERATIONS)
         except IntegrationError:
             raise
-        except ArithmeticError:  # OpenMM's minimiser, which has molecules that are constrained but not rigid
+        except ArithmeticError:  # OpenMM's minimiser, used for molecules that are constrained but not rigid
             pass
 
 
@@ -108,10 +108,10 @@ def heat(
     length: float | None = None,
     may_continue: Callable[[], bool] = lambda: True,
 ) -> Iterator[float]:
-    """Perform Langevin dynamics for a time in ps, by default in `PARTS` parts; yield the kinetic energy after each.
+    """Perform Langevin dynamics for a time in ps, by default in `PARTS` parts; yield the kinetic energy after a part.
 
-    The step is chosen from the forces, which allows starts far from equilibrium. The step is halved if bodies collide
-    that had no forces when it was chosen.
+    The step is chosen from the forces, which allows starts far from equilibrium. It is halved if the dynamics diverges
+    because bodies collide that did not interact when it was chosen.
     """
     left, least = (math.inf, 0.0) if length is None else (length, _RELAXED / (length or math.inf))
     part, halvings = 0, 0

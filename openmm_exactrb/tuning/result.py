@@ -18,30 +18,30 @@ from openmm_exactrb.tuning.measurements import Point, cost_at, stable_curve, ste
 
 
 class UnreachableError(ValueError):
-    """No measured setting reaches the target."""
+    """Raised if no measured setting reaches the target."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """A scheme and a step."""
+    """A scheme and a step, with their error and cost."""
 
     #: Name of a scheme, followed by " nested" if bonded forces are nested, or "VerletIntegrator".
     method: str
     #: Step of the whole scheme in ps.
     step: float
-    #: Standard deviation of the total energy in kJ/mol per body that is promised over the horizon.
+    #: Promised standard deviation of the total energy over the horizon, in kJ/mol per body.
     error: float
     #: Wall time in s per ps.
     cost: float
     #: Whether this setting itself was run over the horizon, from several starts; otherwise it follows from the survey.
     confirmed: bool
-    #: Argument of the integrator.
+    #: Bodies named by hand, an argument of the integrator.
     bodies: list[list[int]] | None = None
     #: The scheme of the method if it is not in the catalogue.
     scheme: Scheme | None = None
     #: Bits of the force groups that act.
     groups: int = -1
-    #: Force evaluations per ps of `Simulation.step` with reports that are no more frequent than every tenth step.
+    #: Force evaluations per ps of `Simulation.step`, if reports are at least ten steps apart.
     evaluations: float = math.nan
 
     def integrator(self) -> openmm.Integrator:
@@ -71,7 +71,7 @@ class Tuning:
     """The measured points of all methods, and the recommended setting."""
 
     points: tuple[Point, ...]
-    #: What was measured, by name.
+    #: The measured methods, by name.
     methods: Mapping[str, Method]
     n_bodies: int
     platform: str
@@ -79,13 +79,13 @@ class Tuning:
     duration: float
     #: Length in ps of the production runs for which errors are promised.
     horizon: float
-    #: Wanted error in kJ/mol per body.
+    #: Target of the error in kJ/mol per body.
     target: float | None = None
     #: The cheapest setting that meets the target.
     chosen: Choice | None = None
     #: Error due to the noise of the forces, in kJ/mol per body: smaller steps do not lower it.
     floor: float | None = None
-    #: Settings of the System that may set it.
+    #: Settings of the System that may cause this noise.
     causes: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     bodies: list[list[int]] | None = field(default=None, repr=False)
@@ -120,10 +120,10 @@ class Tuning:
         return found
 
     def largest_stable_step(self, method: str) -> float:
-        """Return the largest step in ps of a scheme with an energy error below a tenth of the kinetic energy.
+        """Return the largest step (ps) at which the energy error of a scheme is below a tenth of the kinetic energy.
 
-        The next step tried, at most 42 % longer, was unstable, unless free bodies turn by more than a radian between
-        two force evaluations at that step.
+        The next longer step, at most 42 % longer, was unstable, or was not tried because free bodies turn by more than
+        a radian between two force evaluations at that step.
 
         Raises
         ------
@@ -140,7 +140,7 @@ class Tuning:
         return stable_curve(self.points, method)
 
     def choice(self, point: Point, confirmed: bool = True) -> Choice:
-        """Return the setting of a point, by default of one that was run over the horizon."""
+        """Return the setting of a point; `confirmed` states whether it was run over the horizon."""
         method = self.methods[point.method]
         own = None if method.scheme in CATALOGUE.values() else method.scheme
         evaluations = method.evaluations / point.step
@@ -148,12 +148,12 @@ class Tuning:
         return Choice(*setting, self.bodies, own, self.groups, evaluations)
 
     def surveyed(self, target: float, method: str | None = None) -> Choice | None:
-        """Return the cheapest setting of a method, or of all schemes, by the survey; None if it has none."""
+        """Return the cheapest setting of a method or of all schemes by the survey; None if all miss the target."""
         found = []
         for name in self._methods(method):
             curve = self.curve(name)
             if (cost := cost_at(curve, target)) is not None:
-                error = min(curve[0].error, target)  # the former with the largest stable step
+                error = min(curve[0].error, target)  # the error of the largest stable step may be below the target
                 found.append(Point(name, step_at(curve, cost), error, cost, self.duration))
         cheapest = min(found, key=lambda point: point.cost, default=None)
         return None if cheapest is None else self.choice(cheapest, confirmed=False)
@@ -205,7 +205,7 @@ class Tuning:
         return "\n".join([f"{head}\n", *tables, *(textwrap.fill(line, 120) for line in self._conclusions())])
 
     def _table(self, methods: list[str]) -> Iterable[str]:
-        """Yield the rows of a table of errors by the time per force evaluation, a column a method."""
+        """Yield the rows of a table of errors: a row for each time per force evaluation, a column for each method."""
         cells: dict[tuple[float, str], str] = {}
         for p in self.points:
             if p.method in methods:

@@ -1,4 +1,4 @@
-"""The search: all methods at decreasing step sizes, then runs of the production length near the target."""
+"""The search: it runs all methods at decreasing steps, and then methods near the target for the production length."""
 
 from __future__ import annotations
 
@@ -12,27 +12,29 @@ from openmm_exactrb.tuning.budget import BudgetSpentError
 from openmm_exactrb.tuning.error import expected_error
 from openmm_exactrb.tuning.measurements import Measurements, Point, cost_at, step_at
 
-#: Time per force evaluation of the first step size, over the characteristic time, of plain and of nested schemes.
+#: Time per force evaluation at the first step size, in characteristic times, of plain and of nested schemes.
 COARSE, COARSE_NESTED = 1.6, 8.0
-#: From one step size to the next it falls by this.
+#: Ratio of successive step sizes.
 RATIO = 2.0**0.5
-# Schemes of the probe for the noise of the forces, their time per evaluation over the characteristic one, its length
-# over that of the survey, the part of an error that is left where it is the scheme's, the part of the kinetic energy
-# that is a hundred times what a scheme leaves, and how much smaller the other scheme's error is where it is not noise.
+# The probe for noise of the forces: its schemes, their time per evaluation in characteristic times, its length relative
+# to the survey, the ratio of the finer to the coarser deviation above which a deviation is noise, the fraction of the
+# kinetic energy above which it is noise too (a hundred times the error of a scheme), and the ratio to the smaller
+# deviation of the two schemes below which it is noise.
 _PROBES, _FINE, _PROBED, _FALLING, _LARGE, _APART = ("W4_4", "SRKN4_6b"), 0.05, 0.3, 0.35, 1e-4, 5.0
-# The first step sizes at which a method need not be stable, and how close to the noise an error gains nothing more.
+# Number of first step sizes at which all methods may be unstable, and the ratio of an error to the noise below which
+# smaller steps gain nothing.
 _SEARCHED, _CLOSE = 16, 2.0
-# Methods that are run for the production length at a time, the settings of one that are run, the least rise of the cost
-# from one to the next, and the part of the target that is aimed at.
+# Number of methods that are run for the production length at a time, number of settings of each, least ratio of costs
+# of successive settings, and fraction of the target that is aimed at.
 _TRIED, _RUNS, _RISE, _AIM = 3, 5, 1.05, 0.8
 
 
 def probed(measured: Measurements) -> float | None:
     """Return the error due to noise in the forces, or None if two schemes with short steps show no such error.
 
-    The steps are so short that the error of a scheme alone would fall to a quarter from the first to the second. If it
-    does not, because the scheme loses its order, as processed schemes do with nonrigid constraints, the other scheme
-    has a smaller error.
+    The steps are so short that the error of a scheme alone would fall to a quarter from the first step to the second.
+    If a scheme loses its order, as processed schemes do with nonrigid constraints, its error falls less, but the other
+    scheme has a smaller error.
     """
     try:
         runs = [_probed_by(Method(CATALOGUE[name]), measured) for name in _PROBES]
@@ -45,7 +47,7 @@ def probed(measured: Measurements) -> float | None:
 
 
 def _probed_by(method: Method, measured: Measurements) -> tuple[float, float, float]:
-    """Return the deviations of the energy with two short steps, and the smaller error; infinite for unstable runs."""
+    """Return the deviations of the energy with two short steps, and the smaller error; infinity for unstable runs."""
     benchmark, deviations, errors = measured.benchmark, [], []
     for part in (_FINE * RATIO, _FINE):
         step = method.stages * part * benchmark.characteristics.time
@@ -56,7 +58,7 @@ def _probed_by(method: Method, measured: Measurements) -> tuple[float, float, fl
 
 
 def search(measured: Measurements, target: float | None, levels: int, floor: float | None) -> Point | None:
-    """Measure all methods at decreasing steps; return the cheapest point that meets the target, if one does.
+    """Measure all methods at decreasing steps; return the cheapest point that meets the target, or None.
 
     The search ends when the target is met, all errors are close to the floor, or the budget is spent.
     """
@@ -83,13 +85,13 @@ def search(measured: Measurements, target: float | None, levels: int, floor: flo
 
 
 def _at_floor(measured: Measurements, name: str, floor: float | None) -> bool:
-    """Return whether smaller steps of a method gain nothing."""
+    """Return whether the error of a method is so close to the floor that smaller steps gain nothing."""
     curve = measured.curve(name)
     return floor is not None and bool(curve) and curve[-1].error < _CLOSE * floor
 
 
 def _confirmed(measured: Measurements, target: float) -> Point | None:
-    """Run the cheapest settings near the target for the production length, and return the cheapest that meets it."""
+    """Run the cheapest settings near the target for the production length; return the cheapest one that meets it."""
     reached = {name: cost_at(measured.curve(name), _AIM * target) for name in measured.schemes()}
     costs = {name: cost for name, cost in reached.items() if cost is not None}
     chosen: Point | None = None
@@ -100,7 +102,7 @@ def _confirmed(measured: Measurements, target: float) -> Point | None:
 
 
 def _approached(measured: Measurements, name: str, cost: float, target: float, chosen: Point | None) -> Point | None:
-    """Raise the cost of a method until its production runs meet the target or another one is cheaper."""
+    """Increase the cost of a method until its production runs meet the target or `chosen` is cheaper."""
     curve = measured.curve(name)  # before longer runs turn out unstable
     for _ in range(_RUNS):
         if chosen is not None and cost > 0.98 * chosen.cost:

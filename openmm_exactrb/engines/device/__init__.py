@@ -1,1 +1,1 @@
-"""The device engine: programs of fused kernels, executed by an integrator of OpenMM that contains no physics."""
+"""The device engine: programs of fused kernels, executed by an OpenMM integrator that contains no physics."""

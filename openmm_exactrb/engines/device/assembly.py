@@ -1,4 +1,4 @@
-"""A program for the bodies of a Context: the demands of its scheme and thermostat, its parts and its sequences."""
+"""Assembly of the program for the bodies of a Context from its scheme, its thermostat and its parts."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from openmm_exactrb.schemes.sequence import inverse, up_to_kick
 from openmm_exactrb.schemes.thermostatted import canonical_momenta
 from openmm_exactrb.thermostat import Factors
 
-#: Numbers of a heat exchange in addition to its time: see kernels/rigid.cl.
+#: How many numbers a heat exchange has in addition to its time; see kernels/rigid.cl.
 EXCHANGE_NUMBERS = 8
 
 
 class Assembly:
-    """The program of a scheme for given bodies.
+    """The device program that performs a scheme for given bodies.
 
     Attributes
     ----------
@@ -31,9 +31,9 @@ class Assembly:
     program : Program
     scheme : Scheme
     fast_evaluations : int
-        Evaluations of fast forces in a step.
+        Number of evaluations of fast forces per step.
     evaluated, evaluated_around : int
-        Evaluations of fast forces by OpenMM in a step, and around an action of a barostat.
+        Numbers of evaluations of fast forces that OpenMM performs per step, and around each action of a barostat.
     """
 
     def __init__(
@@ -91,18 +91,18 @@ class Assembly:
             part.declare(to)
 
     def _factors(self, factors: Factors) -> Callable[[int], Launch]:
-        """Return the launch of the kernel of factors for a row of the table."""
+        """Return a function of a row of the table: the launch that computes the factors of its heat exchange."""
         source = Source(("random.cl", "thermostats.cl"), factors.defines)
         arrays = "totals", "factors", "thermostat", Table.MOVES, Table.NUMBERS
         return lambda row: Launch(source, factors.kernel, 1, (*arrays, row, "#step", "$key"), 1)
 
     def cheap(self, turns: float) -> bool:
-        """Return whether the output uses stored forces, and enough of them are available after a number of steps."""
+        """Return whether the output uses stored forces, and enough forces are stored after `turns` steps."""
         pairs = (self._demands.memory, self._demands.differences)
         return bool(self.scheme.output) and all(turns * per_step >= size for size, per_step in pairs)
 
 
 def _moves(scheme: Scheme) -> Iterable[Move]:
-    """Return all moves of a scheme."""
+    """Return the moves of the sequence, the processor and the output of a scheme."""
     rows = (*scheme.sequence, *scheme.processor, *scheme.output)
     return [move for substep, part in rows for move in of_substep(substep, part)]

@@ -1,8 +1,9 @@
-"""The library of the device engine: found or compiled once into the user's cache, and loaded.
+"""The library of the device engine, which is loaded from a wheel, or compiled once into the user's cache.
 
-A wheel contains the library for one minor version of OpenMM next to this file. Without it, or with another OpenMM, it
-is compiled within seconds, like numba's kernels. The name of the file contains a hash of the source, of OpenMM's
-version and of the compiler, and the file is moved into place in one step, because two processes may compile at once.
+A wheel contains the library for one minor version of OpenMM next to this file. If this file is missing, or if OpenMM
+has another minor version, the library is compiled within seconds, like numba's kernels. The name of the compiled file
+contains a hash of the source, of OpenMM's version and of the compiler. The file is moved into place in one step,
+because two processes may compile at the same time.
 """
 
 from __future__ import annotations
@@ -29,23 +30,23 @@ _log = logging.getLogger("openmm_exactrb")
 
 #: The C++ source of the library.
 SOURCE = Path(__file__).with_name("program_integrator.cpp")
-#: The library that a wheel brings along.
+#: The library that a wheel contains.
 BUNDLED = SOURCE.with_suffix(".so")
-#: The compiler, if it is not the first of these that is found.
+#: The environment variable that names a compiler, and the commands that are tried after it.
 COMPILER = "CXX"
 _COMPILERS = ("c++", "g++", "clang++")
-#: The folder of what is compiled, if it is not one in the user's own cache.
+#: The environment variable that names the folder for compiled libraries; by default it is in the user's cache.
 CACHE = "EXACTRB_CACHE"
 _FLAGS = ("-std=c++17", "-O2", "-fPIC", "-shared", "-fvisibility=hidden")
 _SYSTEMS = ("Linux", "Darwin")
 
 
 class MissingLibraryError(RuntimeError):
-    """The library is not available; the message states the reason and the remedy."""
+    """Raised if the library is not available; the message states the reason and the remedy."""
 
 
 class Library:
-    """The functions of a loaded library, which create and control an integrator.
+    """A loaded library, with functions that create and control integrators.
 
     Attributes
     ----------
@@ -55,7 +56,7 @@ class Library:
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
-            self._functions = ctypes.CDLL(str(path))  # OpenMM's own library is loaded: this one is linked to it
+            self._functions = ctypes.CDLL(str(path))  # OpenMM's library, to which this one is linked, is already loaded
         except OSError as error:
             raise MissingLibraryError(
                 f"{path} cannot be loaded ({error}): delete it, so that it is compiled again"
@@ -77,14 +78,14 @@ class Library:
         return bool(self._functions.pi_owns(ctypes.c_void_p(int(integrator.this))))
 
     def call(self, function: str, integrator: Any, *arguments: Any) -> None:
-        """Call a function of the library, without Python's lock; raise OpenMMException if it fails."""
+        """Call a function of the library without Python's global lock; raise OpenMMException if the function fails."""
         pointer = ctypes.c_void_p(int(integrator.this))
         if getattr(self._functions, f"pi_{function}")(pointer, *arguments):
             raise openmm.OpenMMException(self._functions.pi_error().decode())
 
 
 class Device:
-    """A program integrator that has a Context: its program, arrays and numbers.
+    """Access to the program, the arrays and the scalars of a program integrator that has a Context.
 
     Parameters
     ----------
@@ -99,31 +100,31 @@ class Device:
         self._library.call(function, self._integrator, *arguments)
 
     def load(self, program: str) -> None:
-        """Load a program: the text of `openmm_exactrb.engines.device.program.Program`."""
+        """Load a program, given as the text of an `openmm_exactrb.engines.device.program.Program`."""
         self._call("program", program.encode())
 
     def upload(self, name: str, values: NDArray[Any]) -> None:
-        """Write an array of the program, of the same number of bytes."""
+        """Write values to an array of the program that has the same number of bytes."""
         values = np.ascontiguousarray(values)
         self._call("upload", name.encode(), ctypes.c_void_p(values.ctypes.data), ctypes.c_size_t(values.nbytes))
 
     def download(self, name: str, out: NDArray[Any]) -> NDArray[Any]:
-        """Read an array of the program into a contiguous one of the same number of bytes."""
+        """Read an array of the program into a contiguous array `out` of the same number of bytes, and return this."""
         self._call("download", name.encode(), ctypes.c_void_p(out.ctypes.data), ctypes.c_size_t(out.nbytes))
         return out
 
     def __setitem__(self, scalar: str, value: float) -> None:
-        """Set a number of the program."""
+        """Set a scalar of the program."""
         self._call("set", scalar.encode(), ctypes.c_double(value))
 
     def __getitem__(self, scalar: str) -> float:
-        """Return a number of the program."""
+        """Return a scalar of the program."""
         value = ctypes.c_double()
         self._call("get", scalar.encode(), ctypes.byref(value))
         return value.value
 
     def step(self, steps: int) -> None:
-        """Perform steps."""
+        """Perform a number of steps."""
         self._call("steps", steps)
 
     def run(self, sequence: str) -> None:
@@ -140,18 +141,19 @@ class Device:
 
     @property
     def launches(self) -> int:
-        """Number of kernels launched by the program, excluding those of forces."""
+        """The number of kernel launches of the program, excluding those of force evaluations."""
         return self._count(0)
 
     @property
     def evaluations(self) -> int:
-        """Number of force evaluations by the program."""
+        """The number of force evaluations that the program requested."""
         return self._count(1)
 
     def changes(self, clear: int = 0) -> int:
-        """Return external changes as bits, and clear some of them.
+        """Return the external changes to the Context as bits, and then clear the bits in `clear`.
 
-        1: positions, 2: velocities, 4: other quantities on which forces depend, 8: a checkpoint or State was loaded.
+        The value 1 marks changed positions, 2 changed velocities, 4 changes of other quantities on which forces depend,
+        and 8 a loaded checkpoint or State.
         """
         value = ctypes.c_int()
         self._call("changes", clear, ctypes.byref(value))
@@ -170,7 +172,7 @@ def library() -> Library:
 
 
 def _found() -> Path | None:
-    """Return the library of the wheel if it is for this minor version of OpenMM."""
+    """Return the path of the wheel's library, or None if there is no library for this minor version of OpenMM."""
     version = BUNDLED.with_suffix(".txt")
     if not (BUNDLED.exists() and version.exists()):
         return None
@@ -182,18 +184,18 @@ def _minor(version: str) -> list[str]:
 
 
 def describe() -> str:
-    """Describe the library of the device engine, or what is missing, without compiling anything."""
+    """Return the path of the library, or a sentence that states how it will be compiled or why it is not available."""
     try:
         path = _found() or cached()
         if not path.exists():
-            openmm_folder()  # with its headers
+            openmm_folder()  # raises an error if headers are missing
     except MissingLibraryError as error:
         return f"not available: {error}"
     return str(path) if path.exists() else f"to be compiled by {compiler()} at first use, in some seconds"
 
 
 def cached() -> Path:
-    """Return the path of the library in the user's cache."""
+    """Return the path of the library in the user's cache, where the file may not exist yet."""
     found = compiler()
     what = (SOURCE.read_bytes(), openmm.__version__.encode(), _told(found, "--version").encode(), found.encode())
     digest = hashlib.sha256(b"\0".join(what)).hexdigest()[:16]
@@ -201,7 +203,7 @@ def cached() -> Path:
 
 
 def compiled() -> Path:
-    """Return the library in the user's cache, and compile it if it is missing."""
+    """Return the path of the library in the user's cache, after compiling the library if it is missing."""
     path = cached()
     if not path.exists():
         _log.warning("compiling the device engine for OpenMM %s, once, which takes some seconds", openmm.__version__)
@@ -211,7 +213,7 @@ def compiled() -> Path:
 
 
 def compiler() -> str:
-    """Return the path of a C++ compiler; raise MissingLibraryError without one."""
+    """Return the path of a C++ compiler; raise MissingLibraryError if there is no compiler."""
     if platform.system() not in _SYSTEMS:
         raise MissingLibraryError(f"the device engine needs Linux or macOS, not {platform.system()}")
     names = (os.environ.get(COMPILER), *_COMPILERS)
@@ -229,9 +231,9 @@ def _told(command: str, *arguments: str) -> str:
 
 
 def openmm_folder() -> Path:
-    """Return the folder with OpenMM's include and lib; raise MissingLibraryError without headers.
+    """Return the folder that contains OpenMM's `include` and `lib`; raise MissingLibraryError if headers are missing.
 
-    The folder is that of OpenMM's wheel, or the prefix of a conda environment.
+    It is a folder of OpenMM's wheel, or the prefix of a conda environment.
     """
     package = Path(openmm.__file__).parent
     candidates = (package.parent / "OpenMM.libs", *package.parents)
@@ -245,7 +247,7 @@ def openmm_folder() -> Path:
 
 
 def build(path: Path, command: str | None = None) -> None:
-    """Compile the library to a path; raise MissingLibraryError with the compiler's first error if that fails."""
+    """Compile the library to a path; raise MissingLibraryError with the compiler's first error if this fails."""
     command, folder = command or compiler(), openmm_folder()
     handle, temporary = tempfile.mkstemp(suffix=".so", dir=path.parent)
     os.close(handle)
@@ -263,7 +265,7 @@ def build(path: Path, command: str | None = None) -> None:
 
 
 def private_folder() -> Path:
-    """Return the user's folder of compiled libraries; raise MissingLibraryError if others can write there."""
+    """Return the user's folder for compiled libraries; raise MissingLibraryError if other users have access to it."""
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     folder = Path(os.environ.get(CACHE) or home / "openmm-exactrb")
     try:
@@ -275,9 +277,9 @@ def private_folder() -> Path:
 
 
 def _check_owner(path: Path) -> None:
-    """Raise MissingLibraryError for a file or folder that others can access, because code is loaded from it."""
+    """Raise MissingLibraryError if other users can access a file or folder, because code is loaded from it."""
     if sys.platform == "win32":
-        return  # a home folder there is its user's alone
+        return  # on Windows, home folders are private
     status = path.stat()
     if status.st_uid != os.getuid() or stat.S_IMODE(status.st_mode) & 0o077:  # noqa: TID251
         raise MissingLibraryError(

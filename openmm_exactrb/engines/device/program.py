@@ -1,4 +1,4 @@
-"""Programs for the integrator of program_integrator.cpp: a typed description that is written as text."""
+"""Programs for the integrator in program_integrator.cpp, described by typed objects and passed as text."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-#: The folder of the text of kernels.
+#: The folder of the kernel files.
 KERNELS = Path(__file__).parent / "kernels"
 
 
 @dataclass(frozen=True)
 class Array:
-    """An array on the device; `saved` arrays belong to checkpoints, and are restored if a call fails."""
+    """An array on the device; `saved` arrays are stored in checkpoints, and restored if a call fails."""
 
     name: str
     size: int
@@ -27,9 +27,9 @@ class Source:
     Parameters
     ----------
     pieces : tuple of str
-        Names of files in the folder `kernels` (NAME.cl), or texts, in order.
+        Names of files in the folder `kernels` (NAME.cl), or source texts, in this order.
     defines : tuple of (str, object)
-        Definitions that precede the pieces.
+        Names and values of macros, which are defined before the pieces.
     """
 
     pieces: tuple[str, ...]
@@ -37,7 +37,7 @@ class Source:
 
     @property
     def text(self) -> str:
-        """The text that is compiled."""
+        """The source that is compiled: the macros and the pieces."""
         defines = [f"#define {name} {value}\n" for name, value in self.defines]
         return "\n".join(["".join(defines), *map(_piece, self.pieces)])
 
@@ -48,11 +48,13 @@ def _piece(piece: str) -> str:
 
 @dataclass(frozen=True)
 class Launch:
-    """A kernel with its arguments.
+    """The launch of a kernel with its arguments.
 
-    These are "posq", "posqCorrection", "velm", "force", "places" (int4 of each atom: its slot, and by how many vectors
-    of the box it was moved), "box" (nine numbers; zero without one), the names of arrays, "$name" for a scalar, "$h"
-    for the step size, "#step" for the number of steps before (long long), and whole numbers (int).
+    An argument is an integer (int) or a name. The names "posq", "posqCorrection", "velm" and "force" denote OpenMM's
+    arrays. The name "places" denotes an array of int4 that contains, for each atom, its slot and the numbers of box
+    vectors by which it was moved. The name "box" denotes nine numbers, which are zero if there is no box. "$name"
+    denotes a scalar, "$h" the step size, and "#step" the number of previous steps (long long). All other names denote
+    arrays of the program.
     """
 
     source: Source
@@ -62,47 +64,47 @@ class Launch:
     block: int = -1
 
     def __str__(self) -> str:
-        """Return the text that follows the name in the line of the kernel."""
+        """Return the text that follows the name of the kernel in its line of the program."""
         return " ".join(map(str, (self.function, self.threads, self.block, *self.arguments)))
 
 
 def forces(groups: int) -> str:
-    """Return the operation that evaluates forces of groups (bits; -1: all active) at the present positions."""
+    """Return the operation that evaluates the forces of groups (bits; -1 for all active groups)."""
     return f"forces {groups if groups < 1 << 31 else groups - (1 << 32)}"
 
 
 def clock(part: float) -> str:
-    """Return the operation that sets the time to that of a fraction of the step."""
+    """Return the operation that advances the time to a fraction of the step."""
     return f"clock {part!r}"
 
 
 def add(scalar: str, value: float) -> str:
-    """Return the operation that adds to a scalar."""
+    """Return the operation that adds a value to a scalar."""
     return f"add {scalar} {value!r}"
 
 
 def copy(array: str, to: str) -> str:
-    """Return the operation that copies an array to another of the same size."""
+    """Return the operation that copies an array to another array of the same size."""
     return f"copy {array} {to}"
 
 
-#: Operations: OpenMM computes virtual sites; reorders atoms, if it is time; and a step is complete.
+#: Operations: let OpenMM compute virtual sites, let it reorder atoms if this is due, and complete a step.
 SITES, REORDER, STEP = "sites", "reorder", "step"
 
 # Scalars of the integrator.
 _COUNTS = ("interval", "removal", "calls")
 
-#: A launch, or an operation as a line.
+#: A launch, or another operation as a line of the program.
 Operation = Launch | str
 
 
 @dataclass
 class Program:
-    """Arrays, scalars and sequences of operations.
+    """A program: arrays, scalars and sequences of operations.
 
-    All scalars are saved. The integrator reads "interval" and "removal", the numbers of steps between actions of
-    barostats or thermostats of the System, and between removals of motion; 0 is never. It counts steps since OpenMM
-    last updated the Context in "calls".
+    All scalars are saved, like `saved` arrays. The integrator reads "interval", the number of steps between actions of
+    barostats or thermostats of the System, and "removal", the number of steps between removals of the centre-of-mass
+    motion; 0 means never. In "calls" it counts the steps since OpenMM last updated the Context.
     """
 
     arrays: dict[str, Array] = field(default_factory=dict)
@@ -110,12 +112,12 @@ class Program:
     sequences: dict[str, list[Operation]] = field(default_factory=dict)
 
     def array(self, name: str, size: int, element: int = 8, saved: bool = False) -> str:
-        """Declare an array with elements of a given size in bytes (at least one element), and return its name."""
+        """Declare an array of at least one element, each of which has `element` bytes, and return the name."""
         self.arrays[name] = Array(name, max(size, 1), element, saved)
         return name
 
     def sequence(self, name: str, operations: Iterable[Operation]) -> None:
-        """Define a sequence."""
+        """Define a sequence of operations."""
         self.sequences[name] = list(operations)
 
     @property

@@ -1,4 +1,4 @@
-"""The propagator on the device: it lets the integrator execute the program of a scheme, and checks the result."""
+"""The propagator of the device engine: it lets the integrator execute a program, and checks the result."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ from openmm_exactrb.schemes.sequence import behind_exchange, inverse
 from openmm_exactrb.support.warn import warn
 from openmm_exactrb.thermostat import Factors
 
-# Of the bodies that are lost, so many are named.
+# The largest number of invalid bodies that an error message names.
 _NAMED = 5
 
 
 class DevicePropagator:
-    """Performs the steps of an integrator in its Context by a program, which the integrator executes.
+    """Performs the steps of an integrator in its Context with a program that the integrator executes.
 
     Parameters
     ----------
     context : openmm.Context
     integrator : openmm.CustomIntegrator
-        The Python object of a program integrator of the library.
+        The Python object that represents a program integrator of the library.
     settings : Settings
     timings : Timings
 
@@ -61,20 +61,20 @@ class DevicePropagator:
         self._sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
         self._conserves = conserve_energy(system)
         self._version: object = None
-        self._surroundings: object = None  # box and parameters at the end of the last call, of the inner coordinates
+        self._surroundings: object = None  # box and parameters to which the inner coordinates belong
         self._kept = 0.0  # the mark of the inner coordinates before a call
-        self._largest = 0.0  # the largest kinetic energy (kJ/mol) that was found good
+        self._largest = 0.0  # the largest kinetic energy (kJ/mol) that was accepted
         self._load()
         if (evaluated := self._served.evaluated) is not None:
             warn(evaluated.warning)
 
     @property
     def last_exchange(self) -> tuple[State, State] | None:
-        """The states before and after the last heat exchange, which the device does not keep."""
+        """Raise a ValueError, because the device does not store the states before and after heat exchanges."""
         raise ValueError("momenta within a step are not available on the device: use engine='host'")
 
     def energy_at_exchange(self, version: object, settings: Callable[[], Any]) -> float:
-        """Return the total energy (kJ/mol) at the last heat exchange of a step in which all bodies move freely."""
+        """Return the total energy (kJ/mol) at the last heat exchange of a step whose drifts contain no fast forces."""
         self.sync.pull()
         bodies, state, of = self.sync.bodies, self.sync.state, settings()
         drift = free_motion(bodies, of.rotor).drift
@@ -89,7 +89,7 @@ class DevicePropagator:
     # -- the program ---------------------------------------------------------------------------------------------------
 
     def _load(self) -> None:
-        """Give the integrator the program of the settings, and its tables."""
+        """Load the program for the settings into the integrator, and write the tables of the program to the device."""
         context: Any = self.sync.context
         self._served = served(context.getSystem(), self.sync.bodies, self._fast, self._settings)
         self._assembly = assembly = Assembly(
@@ -110,7 +110,7 @@ class DevicePropagator:
 
     @property
     def _flexible(self) -> Flexible | None:
-        """The flexible molecules, with fast forces in double precision where all forces are."""
+        """The flexible molecules; fast forces are in double precision if the platform uses it for all forces."""
         molecules = self._served.molecules
         precision = np.float64 if platforms.precision(self.sync.context) == "double" else np.float32
         return None if molecules is None else Flexible(molecules, self.sync.particles, precision)
@@ -120,7 +120,7 @@ class DevicePropagator:
         return bool(self._settings.scheme.processor)
 
     def _bind(self, settings: Any) -> None:
-        """Update the program to new settings: only its numbers, or the whole program."""
+        """Update the numbers of the program to new settings, and the whole program if this is necessary."""
         self._leave(settings)
         before, self._settings = (self._settings.h, self._settings.groups), settings
         nested = self._fast is not None and before != (settings.h, settings.groups)
@@ -144,7 +144,7 @@ class DevicePropagator:
         return None if thermostat is None else thermostat.factors
 
     def _exchange(self, tau: float) -> tuple[float, ...]:
-        """Return the numbers of a heat exchange, padded to the size of the table."""
+        """Return the numbers of a heat exchange over tau (ps), padded with zeros to `EXCHANGE_NUMBERS`."""
         numbers = self._settings.thermostat.kernel_exchange(tau, self.updates.freedom(self.sync.bodies))
         return (*numbers, *(0.0,) * (EXCHANGE_NUMBERS - len(numbers)))
 
@@ -155,7 +155,7 @@ class DevicePropagator:
             self.device.upload("thermostat", np.array([variables.get(integrator, n) for n in self._settings.numbers]))
 
     def _fetch_numbers(self) -> None:
-        """Read the persistent numbers of a thermostat."""
+        """Read the persistent numbers of a thermostat from the device."""
         if self._factors is not None:
             values = self.device.download("thermostat", np.empty(self._factors.size))
             for name, value in zip(self._settings.numbers, values, strict=True):
@@ -164,20 +164,20 @@ class DevicePropagator:
     # -- calls -----------------------------------------------------------------------------------------------------
 
     def advance(self, version: object, settings: Callable[[], Any], key: int, n: int) -> None:
-        """Perform n steps. After an error the Context has its earlier contents.
+        """Perform n steps. After an error, the Context contains the state before the call.
 
-        The arguments are those of the host's propagator.
+        The arguments are those of `openmm_exactrb.engines.engine.Propagator.advance`.
 
         Raises
         ------
         NonFiniteError
-            If numbers become infinite, or a body becomes faster than light.
+            If positions or momenta become infinite, or if a body becomes faster than light.
         IntegrationError
-            If the total energy rises by integration errors.
+            If integration errors increase the total energy abruptly.
         """
         changed = self.sync.settle()
         if self._surroundings not in (None, self._present_surroundings()):
-            self._coordinates = 0.0  # those of other forces
+            self._coordinates = 0.0  # the inner coordinates belong to other forces
         if version != self._version:
             self._bind(settings())
             self._version, changed = version, True
@@ -207,11 +207,11 @@ class DevicePropagator:
             self._refuse(n)
         if kinetic > GROWN * self._largest and self._judged and kinetic > GROWN * self._thermal:
             self._compare(kinetic, n)
-            self._step(n)  # again, for the comparison has led back
+            self._step(n)  # again, because the comparison has restored the earlier state
         self._largest = max(self._largest, kinetic)
 
     def _restore(self) -> None:
-        """Return to the state before a call."""
+        """Restore the state before the present call."""
         self.device.restore()
         self._coordinates = self._kept
         self.sync.moved_on()
@@ -238,7 +238,7 @@ class DevicePropagator:
             self.sync.moved_on()
 
     def _report(self) -> tuple[float, bool]:
-        """Return the kinetic energy (kJ/mol), and whether the state of a body is invalid."""
+        """Return the kinetic energy (kJ/mol), and whether the state of any body is invalid."""
         self.device.run("report")
         translation, rotation, lost_bodies = self.device.download("totals", np.empty(3))
         kinetic = float(translation + rotation)
@@ -262,14 +262,14 @@ class DevicePropagator:
 
     @property
     def _thermal(self) -> float:
-        """The kinetic energy (kJ/mol) that thermostats can explain: twice the canonical mean plus 20 kT."""
+        """The largest kinetic energy (kJ/mol) ascribed to thermostats: twice the canonical mean plus 20 kT."""
         thermostat, bodies = self._settings.thermostat, self.sync.bodies
         kT = 0.0 if thermostat is None else gas_constant_times(thermostat.temperature)
         kT = max(kT, self.updates.hottest(self.sync.context))
         return kT * (bodies.translational_freedom + bodies.rotational_freedom + 20)
 
     def _compare(self, kinetic: float, n: int) -> None:
-        """Return to the state before n steps; raise IntegrationError if its total energy was far lower."""
+        """Restore the state before n steps; raise IntegrationError if the total energy of this state was much lower."""
         energy = kinetic + self._potential()
         self._restore()
         kinetic_before = self._report()[0]
@@ -285,7 +285,7 @@ class DevicePropagator:
     # -- inner coordinates of a processed scheme -----------------------------------------------------------------------
 
     def _enter(self) -> None:
-        """Compute inner coordinates from the shown state, unless they are those of the present settings."""
+        """Compute inner coordinates from the shown state, unless they are available for the present settings."""
         mark = inner_mark(self._settings.scheme, self._settings.h)
         if self._coordinates != mark:
             self.device.run("enter")
@@ -293,16 +293,16 @@ class DevicePropagator:
             self._coordinates = mark
 
     def _leave(self, settings: Any) -> None:
-        """Leave inner coordinates that are not those of new settings, by the exact inverse."""
+        """Map inner coordinates back to true coordinates, by the exact inverse, unless they belong to the settings."""
         if self._coordinates and self._coordinates != inner_mark(settings.scheme, settings.h):
-            if self._version is not None:  # else the coordinates are of another program
+            if self._version is not None:  # otherwise the coordinates belong to another program
                 self.device.run("postprocess")
                 self.sync.moved_on()
             self._coordinates = 0.0
 
     @property
     def _coordinates(self) -> float:
-        """The mark of the inner coordinates, 0 if there are none."""
+        """The mark of the inner coordinates, or 0 if there are no inner coordinates."""
         return variables.get(self._integrator(), variables.COORDINATES)
 
     @_coordinates.setter

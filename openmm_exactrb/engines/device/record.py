@@ -47,7 +47,7 @@ def _unsupported_in(context: Any, settings: Settings) -> str | None:
     if "," in platform.getPropertyValue(context, "DeviceIndex"):
         return "the device engine needs a Context on one device, not on several"
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the propagator, or that of another engine, says what there is to say
+        warnings.simplefilter("ignore")  # the propagator issues these warnings
         bodies, _, fast = found(context, settings)
     try:
         molecules, evaluated = served(context.getSystem(), bodies, fast, settings)
@@ -59,7 +59,7 @@ def _unsupported_in(context: Any, settings: Settings) -> str | None:
 
 
 def _unsupported_beside_molecules(settings: Settings) -> str | None:
-    """Return what the kernels of flexible molecules do not support, or None."""
+    """Return why the kernels of flexible molecules do not support the scheme, or None."""
     if settings.scheme.has_gradients:
         return f"the device has no force-gradient kicks of flexible molecules, which {settings.outer.name} needs"
     for substep, part in settings.scheme.sequence:
@@ -83,7 +83,7 @@ def _marks(settings: Settings) -> tuple[float, ...]:
 
 
 def _declare(integrator: openmm.CustomIntegrator, settings: Settings) -> None:
-    """Replace the integrator of the Python object by one of the library, with the numbers of the package."""
+    """Replace the integrator of a Python object by a program integrator with the variables of this package."""
     try:
         made = library().make()
     except MissingLibraryError as error:
@@ -95,7 +95,7 @@ def _declare(integrator: openmm.CustomIntegrator, settings: Settings) -> None:
 
 
 def _propagator(context: Any, integrator: openmm.CustomIntegrator, settings: Settings, timings: Timings) -> Propagator:
-    """Return a propagator for a Python object whose integrator is of the library."""
+    """Return the propagator of an integrator, which is first replaced by a program integrator if necessary."""
     if not library().owns(integrator):
         if integrator.getGlobalVariable(0) in _marks(settings):
             warn(

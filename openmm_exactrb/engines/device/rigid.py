@@ -23,40 +23,40 @@ from openmm_exactrb.support.types import Array, Indices
 
 Values = Mapping[str, NDArray[Any]]
 
-#: Bodies of more particles get a group of so many threads each.
+#: Bodies with more particles than the first number are each processed by the second number of threads.
 LARGE, LANES = 16, 64
-#: Threads of a block, and the most blocks whose sums of kinetic energies are added up.
+#: Threads per block, and the largest number of blocks in a sum of kinetic energies.
 BLOCK, GROUPS = 64, 256
-#: Bodies that a barostat moved by less than this (nm) it left alone.
+#: A body counts as unmoved if a barostat displaced it by less than this (nm).
 STILL = 1e-9
 _STATE = ("R", "P", "q", "L")
 _ROWS = {"R": 3, "P": 3, "q": 4, "L": 3}
 _TABLES = ("kind", "kinds", "atoms", "sites", "masses", "constants")
 _CONTEXT = ("posq", "posqCorrection", "velm", "places", "box")
-# A function in the text of a user, and its name.
+# A function in the source of a user's move, and its name.
 _FUNCTION = re.compile(r"\bDEVICE\s+(?:inline\s+)?\w+\s+(\w+)\s*\(")
-# Bits of what a segment is, as in kernels/rigid.cl.
+# Bits for the properties of a segment, as in kernels/rigid.cl.
 _HAS_FORCES, _MOVES_PARTICLES, _SHOWS_VELOCITIES, _IS_DISPLACED = 1, 2, 4, 8
 
 
 @dataclass(frozen=True)
 class Demands:
-    """The demands of a scheme and its thermostat on kernels.
+    """The features that a scheme and its thermostat require of the kernels.
 
     Attributes
     ----------
     memory : tuple of int
-        Numbers of stored forces: in total, and per step.
+        The numbers of stored forces, in total and per step.
     differences : tuple of int
-        The numbers for differences of displaced forces.
+        The numbers of stored differences between displaced and undisplaced forces, in total and per step.
     copied : bool
-        Whether a copy of the bodies is shown in the Context.
+        Whether the Context shows a copy of the bodies, as for processed schemes.
     displaces : bool
-        Whether there are force-gradient kicks.
+        Whether the scheme contains force-gradient kicks.
     scales : bool
         Whether heat exchanges multiply all momenta by common factors.
     own : tuple of str
-        Texts of the users' moves, in the order of their numbers.
+        Source texts of the users' moves, in the order of their numbers.
     """
 
     memory: tuple[int, int] = (0, 1)
@@ -68,7 +68,7 @@ class Demands:
 
 
 def parts_of(bodies: RigidBodies, demands: Demands, others: Indices | None = None) -> list[RigidPart]:
-    """Return the parts of a program for all bodies except given ones (k,), with one or several threads per body."""
+    """Return the parts of a program for all bodies except `others` (k,): one each for small and for large bodies."""
     chosen = np.ones(len(bodies), dtype=bool)
     chosen[[] if others is None else others] = False
     small = [kind for kind in bodies.kinds if kind.particles.shape[1] <= LARGE]
@@ -78,7 +78,7 @@ def parts_of(bodies: RigidBodies, demands: Demands, others: Indices | None = Non
 
 
 class RigidPart:
-    """Given kinds of rigid bodies, with a prefix for the names of their arrays and `lanes` threads per body."""
+    """The part of a program for kinds of rigid bodies, with a prefix for array names and `lanes` threads per body."""
 
     def __init__(
         self,
@@ -93,7 +93,7 @@ class RigidPart:
         some = [kind for kind in kinds if chosen[kind.bodies].any()]
         self._kinds = [kind.only(chosen[kind.bodies]) for kind in some]
         ranges = [np.arange(kind.bodies.start, kind.bodies.stop)[chosen[kind.bodies]] for kind in some]
-        self.columns = np.concatenate([np.zeros(0, dtype=np.intp), *ranges])  # of the bodies, among all
+        self.columns = np.concatenate([np.zeros(0, dtype=np.intp), *ranges])  # indices of the bodies among all bodies
         self.n = len(self.columns)
         self._turning = self.columns < bodies.n_turning
 
@@ -135,7 +135,7 @@ class RigidPart:
         return self._named(*(f"inner_{name}" if inner else name for name in _STATE))
 
     def declare(self, to: Program) -> None:
-        """Declare tables, the state, and stored forces."""
+        """Declare the arrays of the tables, of the state and of stored forces."""
         tables = self.tables()
         for name, values in tables.items():
             to.array(name, values.size, element=values.itemsize)
@@ -149,7 +149,7 @@ class RigidPart:
         to.array(self._prefix + "kinetic", 3 * GROUPS)
 
     def launches(self, segment: Segment, table: Table) -> list[Operation]:
-        """Return the launch of a segment."""
+        """Return the launch that performs a segment."""
         moves = merged(move for move in segment.moves if move.bodies != "inner")
         displaced = segment.has(Op.DISPLACED_KICK)
         what = _HAS_FORCES * any(move.groups for move in moves)
@@ -173,25 +173,25 @@ class RigidPart:
         return Launch(self._source, function, threads or self.n * lanes, arguments, lanes if lanes > 1 else BLOCK)
 
     def reductions(self, copied: bool, adds: bool) -> list[Operation]:
-        """Return the operations that write the kinetic energies to "totals", or add them."""
+        """Return operations that write the kinetic energies to "totals" or, if `adds`, add them there."""
         sums, threads = self._named("kinetic")[0], min(self.n, BLOCK * GROUPS)
         tables = self._named("kind", "kinds", "constants")
         kinetic = Launch(self._source, "kinetic", threads, (*tables, *self.state(copied), sums), BLOCK)
         return [kinetic, Launch(self._source, "total", BLOCK, (sums, "totals", int(adds)), BLOCK)]
 
     def pushed(self, copied: bool, to_copy: bool) -> list[Operation]:
-        """Return the operations that add changes of shown velocities to the momenta of that or the other state."""
+        """Return operations that add the change of the Context's velocities since state(copied) to state(to_copy)."""
         _, P, _, L = self.state(to_copy)
         return [self._launch("pushed", (*_CONTEXT, *self._named(*_TABLES), *self.state(copied), P, L))]
 
     def moved(self, copied: bool) -> list[Operation]:
-        """Return the operations that read changed positions."""
+        """Return the operations that read positions changed by OpenMM."""
         return [self._launch("moved", (*_CONTEXT, *self._named(*_TABLES), *self.state(copied)))]
 
     # -- values ------------------------------------------------------------------------------------------------------
 
     def tables(self) -> dict[str, NDArray[Any]]:
-        """Return the constant arrays by name, except for the flags of flexible molecules."""
+        """Return the constant arrays by name; the flags of flexible molecules in "index" are zero."""
         rows, atoms, sites, masses, of_bodies = [], [], [], [], []
         kind_of = np.concatenate([np.full(len(k.particles), number) for number, k in enumerate(self._kinds)])
         first = counts = n_sites = n_masses = n_constants = 0
@@ -218,12 +218,12 @@ class RigidPart:
         return {self._prefix + name: array for name, array in values.items()}
 
     def flag(self, device: Device, flexible: NDArray[np.bool_]) -> None:
-        """Write the flags (N,) of bodies in flexible molecules."""
+        """Write the flags (N,) of bodies in flexible molecules to the device."""
         index = np.stack([self.columns, flexible[self.columns]])
         device.upload(self._prefix + "index", index.astype(np.int32))
 
     def write(self, device: Device, state: BodyState, copied: bool = False) -> None:
-        """Write the state of all bodies to the device."""
+        """Write the part of a state for these bodies to the device."""
         turning, columns = self._turning, self.columns
         q, L = np.zeros((4, self.n)), np.zeros((3, self.n))
         q[0] = 1.0
@@ -233,7 +233,7 @@ class RigidPart:
             device.upload(name, array)
 
     def read(self, device: Device, out: BodyState, copied: bool = False) -> None:
-        """Read the state of these bodies into that of all bodies."""
+        """Read the state of these bodies from the device into `out`, the state of all bodies."""
         R, P, q, L = (
             device.download(name, np.empty((_ROWS[of], self.n)))
             for name, of in zip(self.state(copied), _STATE, strict=True)
@@ -244,13 +244,13 @@ class RigidPart:
 
 
 def _sum_of(rule: tuple[Array, Array]) -> str:
-    """Return the text of a sum of the integrand in kernels/rotation.cl at the nodes of a rule."""
+    """Return the source of a sum over the nodes of a quadrature rule, for the integrand in kernels/rotation.cl."""
     pairs = zip(*rule, strict=True)
     return "(" + "+".join(f"{float(weight)!r}*integrand({float(x[0])!r}*u, x, z, b)" for x, weight in pairs) + ")"
 
 
 def _constants(kind: Kind) -> Iterator[tuple[float, ...]]:
-    """Yield b, rho, sigma, 1/I3, the inverse moments, 1/M, sqrt(M) and the roots of the moments of a kind's bodies."""
+    """Yield b, rho, sigma, 1/I3, the inverse moments, 1/M, sqrt(M) and the square roots of the moments for a kind."""
     for moments in kind.inertia:
         of_rotor = np.where(kind.linear, moments[2], moments) if kind.turns else np.ones(3)
         inverse = np.divide(1.0, moments, out=np.zeros(3), where=moments > 0.0)

@@ -1,12 +1,12 @@
 """Segments: a scheme divided at its force evaluations, and the sequences of the program that executes it.
 
-A segment is the part of a step between two evaluations: a row of moves, which each part of a program (rigid bodies,
-flexible molecules) performs for its own bodies in as few launches as possible. A step is
+A segment consists of the moves between two evaluations. Each part of a program (rigid bodies, flexible molecules)
+performs these moves for its own bodies, in as few launches as possible. A step is
 
     open | evaluate, body ... | evaluate, close
 
 where "open" precedes the first evaluation and "close" follows the last one. "between" joins the end of a step and the
-start of the next one in one segment.
+start of the next step in one segment.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from openmm_exactrb.support.types import Array
 
 Rows = Iterable[tuple[object, float]]
 
-#: The groups of all forces that act, as bits.
+#: All active force groups, as bits.
 ALL = -1
-# Integers of a move in the table.
+# Integers per move in the table.
 _COLUMNS = 4
 
 
@@ -45,21 +45,21 @@ class Segment:
     ----------
     moves : tuple of Move
     groups : int or None
-        The force groups (bits) whose forces are evaluated before it, or None.
+        The force groups (bits) whose forces are evaluated before the segment, or None.
     time : float
         The time of the evaluation, as a fraction of the step.
     reduces : bool
-        Whether the thermostat needs the kinetic energy before it.
+        Whether the thermostat needs the kinetic energy before the segment.
     shows : bool
-        Whether velocities are written to the Context after it, at the end of a step.
+        Whether velocities are written to the Context after the segment, at the end of a step.
     behind : float
-        The fraction of a drift of bodies with inner steps whose last inner kick is due in this segment, or 0.
+        The fraction of the step of an earlier drift whose last inner kick is due in this segment, or 0.
     leaves : bool
-        Whether the last inner kick of its last drift is due in the next segment.
+        Whether the last inner kick of the segment's last drift is due in the next segment.
     places : bool
-        Whether positions are written although nothing moves.
+        Whether positions are written to the Context even if no move changes them.
     copied : bool
-        Whether it moves the shown copy of the bodies instead of the inner coordinates of a processed scheme.
+        Whether the segment moves the shown copy of the bodies instead of the inner coordinates of a processed scheme.
     """
 
     moves: tuple[Move, ...] = ()
@@ -73,24 +73,24 @@ class Segment:
     places: bool = False
 
     def has(self, *ops: Op) -> bool:
-        """Return whether any move is of these kinds."""
+        """Return whether any move has one of these kinds."""
         return any(move.op in ops for move in self.moves)
 
 
 def divided(
     rows: Rows, known: int | None = None, splits_exchanges: bool = False, remembered: int | None = None
 ) -> list[Segment]:
-    """Divide substeps with their fractions of a step at the force evaluations.
+    """Divide a sequence of substeps into segments at its force evaluations.
 
     Parameters
     ----------
     rows : iterable of (Substep, float)
     known : int, optional
-        The groups whose forces are known at the start.
+        The force groups (bits) whose forces are known at the start.
     splits_exchanges : bool, optional
         Whether heat exchanges need the kinetic energy.
     remembered : int, optional
-        The groups whose forces are stored, or None.
+        The force groups (bits) whose forces are stored, or None.
 
     Raises
     ------
@@ -127,7 +127,7 @@ def divided(
 
 
 def merged(moves: Iterable[Move]) -> tuple[Move, ...]:
-    """Return the moves of a segment, with additive neighbours merged."""
+    """Return the moves of a segment, with adjacent additive moves of the same kind merged."""
     rows: list[Move] = []
     for move in moves:
         if rows and rows[-1].op == move.op and move.op in (Op.DRIFT, Op.KICK, Op.FAST_KICK):
@@ -138,7 +138,7 @@ def merged(moves: Iterable[Move]) -> tuple[Move, ...]:
 
 
 def known_after(segments: Sequence[Segment], known: int | None = None) -> int | None:
-    """Return the groups whose forces are known after segments, at the positions there."""
+    """Return the force groups whose forces at the final positions of segments are known, or None."""
     for segment in segments:
         known = segment.groups if segment.groups is not None else known
         for move in segment.moves:
@@ -148,7 +148,7 @@ def known_after(segments: Sequence[Segment], known: int | None = None) -> int | 
 
 
 def _joined(segments: Sequence[Segment]) -> list[Segment]:
-    """Return segments in which the last inner kick of a drift at the end of a segment is deferred to the next."""
+    """Return segments in which the last inner kick of a drift at the end of a segment is deferred to the next one."""
     joined, behind = [], 0.0
     for number, segment in enumerate(segments):
         before = behind
@@ -157,7 +157,7 @@ def _joined(segments: Sequence[Segment]) -> list[Segment]:
                 behind = 0.0
             elif move.bodies != "others":
                 behind = move.part
-        if number == len(segments) - 1 or segments[number + 1].reduces:  # for the velocities have to be known
+        if number == len(segments) - 1 or segments[number + 1].reduces:  # because complete velocities are needed there
             behind = 0.0
         joined.append(replace(segment, behind=before, leaves=bool(behind)))
     return joined
@@ -165,10 +165,10 @@ def _joined(segments: Sequence[Segment]) -> list[Segment]:
 
 @dataclass(frozen=True)
 class Step:
-    """The segments of a step; the first one uses known forces."""
+    """The segments of a step, the first of which uses forces that are already known."""
 
     segments: tuple[Segment, ...]
-    needs: int | None  # the groups whose forces the first one needs
+    needs: int | None  # the force groups whose forces the first segment needs
 
     @classmethod
     def of(cls, rows: Rows, splits_exchanges: bool = False, remembered: int | None = None) -> Step:
@@ -185,13 +185,13 @@ class Step:
 
     @property
     def between(self) -> Segment:
-        """The last segment of a step joined with the first one of the next."""
+        """The last segment of a step, joined with the first segment of the next step."""
         first, last = self.segments[0], self.segments[-1]
         late = tuple(replace(move, late=True) for move in first.moves)
         return replace(last, moves=last.moves + late, shows=False, leaves=first.leaves)
 
     def evaluations(self, groups: int) -> int:
-        """Return the number of evaluations of the forces of these groups."""
+        """Return the number of evaluations per step of the forces of given groups."""
         return sum(segment.groups == groups for segment in self.segments)
 
     @property
@@ -202,29 +202,29 @@ class Step:
 
 
 class Table:
-    """The moves of all segments for kernels: rows of integers, and numbers that depend on the settings.
+    """The moves of all segments as a table for kernels: rows of integers, and numbers that depend on the settings.
 
-    A row contains the op, the number of the move (plus 2^16 if it is late), the index of its first number, and their
-    count.
+    A row contains the op, the number of the move (plus 2^16 if it is late), the index of its first number, and the
+    count of its numbers.
     """
 
     #: The names of the arrays.
     MOVES, NUMBERS = "moves", "numbers"
 
     def __init__(self, own: tuple[str, ...] = ()) -> None:
-        self.own = own  # texts of the moves of users
+        self.own = own  # source texts of the users' moves
         self._moves: list[Move] = []
         self._places: dict[tuple[Move, ...], int] = {}
 
     def rows(self, moves: tuple[Move, ...]) -> tuple[int, int]:
-        """Return the first row and the number of rows of moves."""
+        """Return the index of the first row and the number of rows of some moves, which are added if they are new."""
         if moves not in self._places:
             self._places[moves] = len(self._moves)
             self._moves += moves
         return self._places[moves], len(moves)
 
     def values(self, h: float, exchange: Exchange | None) -> tuple[NDArray[np.int32], Array]:
-        """Return the arrays for steps of h (ps), and the numbers of a heat exchange."""
+        """Return the arrays for steps of h (ps), where exchange(tau) returns the numbers of a heat exchange."""
         numbers = [move.numbers(h, exchange) for move in self._moves]
         starts = np.cumsum([0, *map(len, numbers)])
         rows = [
@@ -239,7 +239,7 @@ class Table:
         return move.op + self.own.index(move.text) if move.op == Op.OWN else move.op
 
     def declare(self, to: Program, exchange_numbers: int) -> None:
-        """Declare the arrays once all segments are known, for a count of numbers per heat exchange besides tau."""
+        """Declare the arrays when all segments are known; heat exchanges have `exchange_numbers` numbers and tau."""
         _, numbers = self.values(1.0, lambda tau: (0.0,) * exchange_numbers)
         to.array(self.MOVES, _COLUMNS * len(self._moves), element=4)
         to.array(self.NUMBERS, len(numbers))
@@ -248,14 +248,14 @@ class Table:
 class Part(Protocol):
     """A subset of the bodies of a program, with its arrays and the launches of a segment.
 
-    With `copied`, methods act on the shown state of a processed scheme instead of that in inner coordinates.
+    With `copied`, methods act on the shown state of a processed scheme instead of the state in inner coordinates.
     """
 
     def declare(self, to: Program) -> None:
         """Declare arrays."""
 
     def launches(self, segment: Segment, table: Table) -> Sequence[Operation]:
-        """Return the launches of a segment: it reads forces from "force", and writes positions to "posq" at its end."""
+        """Return the launches of a segment, which read forces from "force" and finally write positions to "posq"."""
 
     def state(self, copied: bool) -> Sequence[str]:
         """Return the names of the arrays of a state."""
@@ -264,22 +264,23 @@ class Part(Protocol):
         """Return the operations that write kinetic energies and the number of invalid bodies to "totals"."""
 
     def pushed(self, copied: bool, to_copy: bool) -> Sequence[Operation]:
-        """Return the operations that add changes of shown velocities to the momenta of that or the other state."""
+        """Return operations that add the change of the Context's velocities since state(copied) to state(to_copy)."""
 
     def moved(self, copied: bool) -> Sequence[Operation]:
-        """Return the operations that read changed positions."""
+        """Return the operations that read positions changed by OpenMM."""
 
 
 @dataclass
 class Sequences:
-    """Writes the sequences of a program for its parts.
+    """Writes the sequences of a program from the launches of its parts.
 
     Attributes
     ----------
     sites : bool
         Whether the System has virtual sites.
     factors : callable, optional
-        factors(row) -> the launch that computes the factors of the heat exchange in a row from the energies.
+        factors(row) -> the launch that computes the factors of the heat exchange in a row of the table from the kinetic
+        energies.
     """
 
     parts: Sequence[Part]
@@ -288,11 +289,11 @@ class Sequences:
     factors: Callable[[int], Operation] | None = None
 
     def carried_out(self, segments: Iterable[Segment]) -> list[Operation]:
-        """Return the operations of segments, each after the evaluation that it needs."""
+        """Return the operations of segments, each preceded by the evaluation that it needs."""
         return [operation for segment in segments for operation in (*self.before(segment), *self.moved(segment))]
 
     def before(self, segment: Segment) -> list[Operation]:
-        """Return the evaluation before a segment."""
+        """Return the operations before a segment: an evaluation of forces, or of kinetic energies and factors."""
         if segment.reduces:
             assert self.factors is not None
             row, _ = self.table.rows(segment.moves)
@@ -304,7 +305,7 @@ class Sequences:
         return [operation for k, part in enumerate(self.parts) for operation in part.reductions(copied, k > 0)]
 
     def evaluation(self, groups: int, time: float) -> list[Operation]:
-        """Return the evaluation of forces at the present positions."""
+        """Return the operations that evaluate the forces of groups at the present positions and a given time."""
         return [*self._sites, program.REORDER, program.clock(time), program.forces(groups)]
 
     @property
@@ -312,7 +313,7 @@ class Sequences:
         return [program.SITES] if self.sites else []
 
     def moved(self, segment: Segment) -> list[Operation]:
-        """Return the launches of a segment."""
+        """Return the launches of all parts for a segment."""
         if not segment.moves and not segment.shows and not segment.places:
             return []
         return [operation for part in self.parts for operation in part.launches(segment, self.table)]
@@ -322,10 +323,10 @@ class Sequences:
         return [operation for part in self.parts for operation in getattr(part, method)(*arguments)]
 
     def write_step(self, to: Program, step: Step, processed: bool) -> None:
-        """Write the sequences of steps: "forces", "open", "body", "between" and "close"."""
+        """Write the sequences of steps: "forces", "open", "body", "between", "close" and "report"."""
         first, *middle, last = step.segments
         ends: list[Operation] = [program.STEP, program.add("turn", 1.0)]
-        placed = self.moved(Segment(places=True)) if processed else []  # what is shown is elsewhere
+        placed = self.moved(Segment(places=True)) if processed else []  # the Context shows other positions
         to.sequence("forces", [] if step.needs is None else [*placed, *self.evaluation(step.needs, 0.0)])
         to.sequence("open", self.moved(first))
         to.sequence("body", [*self.carried_out(middle), *self.before(last)])
@@ -336,7 +337,7 @@ class Sequences:
     def write_processor(self, to: Program, scheme: Scheme) -> None:
         """Write "enter", the map to inner coordinates, and the maps back: "output" and the exact "postprocess"."""
         to.sequence("enter", [*self._copies(shown=False), *self._way(scheme.processor, copied=False)])
-        placed = self.moved(Segment(places=True, copied=True))  # for its forces, where a copy was shown before
+        placed = self.moved(Segment(places=True, copied=True))  # because forces are evaluated here
         to.sequence("postprocess", [*self._copies(shown=True), *placed, *self._way(scheme.postprocessor, copied=True)])
         to.sequence("output", [*self._copies(shown=True), *self._way(scheme.output, copied=True)])
 
@@ -346,9 +347,9 @@ class Sequences:
         return [program.copy(*names) for names in itertools.chain(*pairs)]
 
     def _way(self, rows: Rows, copied: bool, begins: float | None = None) -> list[Operation]:
-        """Return the operations of substeps outside of a step, after which the state is shown.
+        """Return the operations of substeps outside of a step, which finally show the state in the Context.
 
-        Time stands still, or begins at a fraction of the step.
+        The time does not advance, unless it begins at a given fraction of the step.
         """
         some = [
             replace(segment, copied=copied, time=0.0 if begins is None else begins + segment.time)
@@ -358,9 +359,9 @@ class Sequences:
         return [*self.carried_out(some), *self._sites]
 
     def write_updates(self, to: Program, updates: Any, processed: bool, ahead: Substeps) -> None:
-        """Write the sequences around OpenMM's updates of the Context, whose kinds are flags of `ContextUpdates`.
+        """Write the sequences around OpenMM's updates of the Context; flags of `updates` state which updates occur.
 
-        A barostat acts after the drifts `ahead` of the end of a step, which are undone behind it.
+        A barostat acts after the drifts `ahead` from the end of a step, which are then undone.
         """
         velocities = updates.pushes or updates.removes_motion
         pushed, moved = self._each("pushed", False, False) if velocities else [], self._each("moved", False)

@@ -1,4 +1,4 @@
-"""The bodies of a Context whose state is in arrays on the device."""
+"""The state of the bodies of a Context, stored in arrays on the device."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ from openmm_exactrb.engines.device.library import Device
 from openmm_exactrb.mechanics.fit import fit
 from openmm_exactrb.mechanics.state import BodyState, State
 
-# Bits of what others changed, see `Device.changes`.
+# Bits of external changes, see `Device.changes`.
 SET, LOADED = 3, 8
-# Of single precision: positions (nm) and velocities (nm/ps) that are within this, and this part, of those that a state
-# gives show it.
+# In single precision, positions (nm) and velocities (nm/ps) agree with a state if they differ from it by at most this
+# absolute tolerance plus this relative tolerance.
 _SINGLE, _SINGLE_PART = 1e-5, 1e-6
 
 
 class DeviceState(Synchronisation):
-    """A `Synchronisation` that reads the state only on request: the device does not need it on the host.
+    """A `Synchronisation` that reads the state from the device only on request.
 
-    OpenMM's integrator detects external changes to the Context, so states need not be compared.
+    The program integrator detects external changes to the Context, so states need not be compared for this purpose.
     """
 
     _behind = False  # whether the device has moved on since `state` was read
 
     def begin(self, device: Device, parts: Sequence[Any], processed: bool, single: bool) -> None:
-        """Use the arrays of a program for the state; bodies are those of its parts."""
+        """Use the arrays of a program on `device`, which its `parts` read and write, for the state."""
         self._device, self._parts, self._processed = device, parts, processed
         if single:
             self._same, self._rigid = (_SINGLE, _SINGLE_PART), _SINGLE
 
     def pull(self) -> bool:
-        """Update the state from the device, and both with changes to the Context."""
+        """Update the state from the device, or both from a Context that was changed; return whether it was changed."""
         changes = self._device.changes()
         if not changes & (SET | LOADED):
             if self._behind:
@@ -57,7 +57,7 @@ class DeviceState(Synchronisation):
         return True
 
     def settle(self) -> bool:
-        """Pull if there are changes; return whether the state changed."""
+        """Call `pull` if there are external changes; return whether the state changed."""
         return self.pull() if self._device.changes() & (SET | LOADED) else False
 
     def moved_on(self) -> None:
@@ -66,12 +66,12 @@ class DeviceState(Synchronisation):
 
     @functools.cached_property
     def _fixed(self) -> NDArray[np.intp]:
-        """The massless particles that are not virtual sites."""
+        """The indices of the massless particles that are not virtual sites."""
         system = self.context.getSystem()
         return np.array([i for i in np.flatnonzero(self.bodies.owner < 0) if not system.isVirtualSite(int(i))], np.intp)
 
     def _take(self, known: State | None, state: State, elsewhere: bool) -> None:
-        """Use a state, and write it to the device if it changed or massless particles are `elsewhere`."""
+        """Accept a state, and write it to the device if it changed or if massless particles moved (`elsewhere`)."""
         self.state, self._behind = state, False
         if elsewhere or state is not known:
             self.inner = None if known is None or not self._processed else self._inner()
@@ -95,13 +95,13 @@ class DeviceState(Synchronisation):
             variables.put(self._integrator(), variables.COORDINATES, 0.0)
 
     def _inner(self) -> State | None:
-        """Read the inner state, if there is one."""
+        """Read the state in inner coordinates from the device, or return None if there is no such state."""
         if not variables.get(self._integrator(), variables.COORDINATES):
             return None
         return self._read(copied=False)
 
     def _read(self, copied: bool = True) -> State:
-        """Read the shown state, or the one in inner coordinates."""
+        """Read the shown state from the device or, if not `copied`, the state in inner coordinates."""
         n, turning = len(self.bodies), self.bodies.n_turning
         out = BodyState(np.empty((3, n)), np.empty((3, n)), np.empty((4, turning)), np.empty((3, turning)))
         for part in self._parts:
@@ -123,6 +123,6 @@ class DeviceState(Synchronisation):
         self.push()
 
     def _write(self) -> None:
-        """Do nothing: the program has the state, which OpenMM saves with it."""
+        """Do nothing: OpenMM saves the arrays of the program, which contain the state."""
 
     _unmark = _withdraw = _write

@@ -1,1 +1,1 @@
-"""The engine of kernels on the host: its propagator and its environment of substeps."""
+"""The host engine: its propagator, and the environment to which substeps are bound."""

@@ -30,7 +30,7 @@ Bound = list[tuple[Flow[State], float]]
 class HostEnvironment:
     """The `openmm_exactrb.environment.Environment` of a Context, to which substeps are bound.
 
-    `slow` are the forces of kicks, and `all_forces` those of all active force groups.
+    `slow` contains the forces of kicks, and `all_forces` the forces of all active force groups.
     """
 
     bodies: RigidBodies
@@ -48,7 +48,7 @@ class HostEnvironment:
     last_exchange: tuple[State, State] | None = None
 
     def forces(self, group: int | None = None) -> Forces:
-        """Return the forces of a group, or of all kicks."""
+        """Return the forces of a force group or, by default, the forces of kicks."""
         return self.slow if group is None else self.all_forces.of(1 << group)
 
     def exchange_of(self, number: int) -> Flow[State]:
@@ -74,7 +74,7 @@ class HostEnvironment:
         return self.updates.freedom(self.bodies)
 
     def bound(self, sequence: Sequence, h: float) -> Bound:
-        """Return the flows of a sequence in steps of h."""
+        """Return the flows of a sequence and their times, for steps of h (ps)."""
         flows: dict[Substep, Flow[State]] = {}
         for substep, _ in sequence:
             if substep not in flows:
@@ -82,9 +82,9 @@ class HostEnvironment:
         return bound(sequence, flows, h)
 
     def _flow_of(self, substep: Substep) -> Flow[State]:
-        """Return the flow of a substep, which increases the version of positions if it may change them."""
+        """Return the flow of a substep, which marks the positions as changed if the substep may change them."""
         flow = substep.bind(self)
-        if not substep.moves or isinstance(substep, Drift):  # drifts of the propagator count versions
+        if not substep.moves or isinstance(substep, Drift):  # the drifts of the propagator mark changes
             return flow
 
         def moving(state: State, tau: float) -> State:

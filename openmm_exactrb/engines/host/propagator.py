@@ -1,7 +1,7 @@
-"""The propagator, which performs the steps of an integrator in its Context with forces from OpenMM.
+"""The propagator of the host engine, which performs the steps of an integrator in its Context.
 
 It is created once for a Context, and bound to the settings of the integrator whenever these have changed. It owns the
-state, which for a processed scheme remains in inner coordinates from call to call: the Context shows a copy that has
+state, which for a processed scheme remains in inner coordinates between calls; the Context then shows a copy that has
 passed through the post-processor.
 """
 
@@ -40,7 +40,8 @@ from openmm_exactrb.schemes.thermostatted import canonical_momenta
 class Clock:
     """The number of steps and the time (ps) of a Context within a call, on which some forces depend.
 
-    Time advances in the drifts. Schemes keep their order with time-dependent forces, as if time were a coordinate.
+    Time advances in the drifts. Since time is treated as a coordinate, schemes keep their order with time-dependent
+    forces.
     """
 
     def __init__(self, context: openmm.Context) -> None:
@@ -48,7 +49,7 @@ class Clock:
         self.begin()
 
     def begin(self) -> None:
-        """Read number and time from the Context."""
+        """Read the number of steps and the time from the Context."""
         context: Any = self._context()
         self.number, self.time = context.getStepCount(), context.getTime().value_in_unit(unit.picosecond)
         self._drifted = 0.0
@@ -61,15 +62,15 @@ class Clock:
         context.setTime(self.time + self._drifted)
 
     def next(self, h: float) -> None:
-        """Complete a step."""
+        """Complete a step of h (ps)."""
         self._set(self.number + 1, self.time + h)
 
     def keep(self) -> None:
-        """Keep the present number and time."""
+        """Save the present number and time."""
         self._kept = self.number, self.time
 
     def restore(self) -> None:
-        """Restore the kept number and time."""
+        """Restore the saved number and time."""
         self._set(*self._kept)
 
     def update(self, integrator: openmm.CustomIntegrator, n: int, h: float) -> None:
@@ -116,11 +117,11 @@ class HostPropagator:
         self.environment: HostEnvironment
         self._memory: ForceMemory
         self._overheating: Overheating | None = None
-        self._left: State | None = None  # what the last call of `advance` ended with
+        self._left: State | None = None  # the final state of the last call of `advance`
 
     @property
     def last_exchange(self) -> tuple[State, State] | None:
-        """The states before and after the last heat exchange, if the present state is the end of its step."""
+        """The states before and after the last heat exchange, or None if the state has changed since that step."""
         return self.environment.last_exchange if self._left is self.sync.state else None
 
     def advance(self, version: object, settings: Callable[[], Settings], key: int, n: int) -> None:
@@ -136,10 +137,10 @@ class HostPropagator:
         environment.key = key
         environment.numbers.load(integrator)
         try:
-            with np.errstate(all="ignore"):  # what is not finite is reported, with the bodies concerned
+            with np.errstate(all="ignore"):  # non-finite numbers are reported with their bodies
                 self._make(n)
         except BaseException:
-            self._positions.moved()  # to places within the step that failed
+            self._positions.moved()  # to positions within the step that failed
             raise
         finally:
             self._clock.restore()
@@ -155,7 +156,7 @@ class HostPropagator:
     def energy_at_exchange(self, version: object, settings: Callable[[], Settings]) -> float:
         """Return the total energy (kJ/mol) at the last heat exchange, where its errors have the scheme's order.
 
-        The drifts after it are temporarily undone. The arguments are those of `advance`.
+        The drifts after this exchange are temporarily undone. The arguments are those of `advance`.
         """
         self._settle(version, settings)
         try:
@@ -169,12 +170,12 @@ class HostPropagator:
             self.sync.push()
 
     def _settle(self, version: object, settings: Callable[[], Settings]) -> None:
-        """Update the state and the substeps with changes to the Context and the integrator."""
+        """Update the state and the substeps after changes to the Context and the integrator."""
         changed = self.sync.pull()
         if self._processed and self._surroundings != self._present_surroundings():
-            self.sync.keep(None)  # inner coordinates are those of other forces
+            self.sync.keep(None)  # the inner coordinates belong to other forces
         self._clock.begin()
-        self._positions.moved()  # what else forces depend on may have changed, and cannot be seen
+        self._positions.moved()  # other quantities on which forces depend may have changed
         if version != self._version:
             self._bind(settings())
             self._version, changed = version, True
@@ -210,7 +211,7 @@ class HostPropagator:
         self._clock.keep()
         self.environment.numbers.keep()
 
-    # -- processed schemes: the inner state continues, what is shown is a copy ---------------------------------------
+    # -- processed schemes: the inner state continues, and the output is a copy --------------------------------------
 
     def _entered(self) -> State:
         """Return the state from which steps continue."""
@@ -223,7 +224,7 @@ class HostPropagator:
         return inner
 
     def _processed_from(self, state: State) -> State:
-        """Return the inner state of a true state at the present positions."""
+        """Return the inner state that corresponds to a true state at the present positions."""
         check = self.environment.divergence
         check.keep_from(state)
         inner = through(self._processor, state)
@@ -232,11 +233,11 @@ class HostPropagator:
         return inner
 
     def _true(self, inner: State) -> State:
-        """Return the true state of an inner state at the present positions, by the inverse processor."""
+        """Return the true state that corresponds to an inner state at the present positions, by the post-processor."""
         return self._copied(self._postprocessor, inner)
 
     def _shown(self, inner: State) -> State:
-        """Return the output of an inner state, a copy, so that the error of the output does not accumulate."""
+        """Return the output for an inner state; it is a copy, so that the error of the output does not accumulate."""
         cheap = self._output and self._memory.full
         return self._copied(self._output if cheap else self._postprocessor, inner)
 
@@ -248,10 +249,10 @@ class HostPropagator:
         finally:
             self._memory.closed = False
 
-    # -- what OpenMM does between steps --------------------------------------------------------------------------------
+    # -- OpenMM's updates between steps --------------------------------------------------------------------------------
 
     def _updated(self, state: State) -> State:
-        """Return a state after the updates that follow a step."""
+        """Return a state after the updates of OpenMM that follow a step."""
         if not self._updates_act:
             return state
         state = self.updates.remove_motion(self.sync.bodies.mass, state, self._clock.number)
@@ -291,7 +292,7 @@ class HostPropagator:
     # -- binding substeps ----------------------------------------------------------------------------------------------
 
     def _bind(self, settings: Settings) -> None:
-        """Bind the substeps of the settings."""
+        """Bind the substeps of the settings to a new environment."""
         sync, h = self.sync, settings.h
         if self._version is not None and self._processed:
             self._leave_coordinates(settings)
@@ -325,7 +326,7 @@ class HostPropagator:
         )
 
     def _watch(self, settings: Settings) -> Overheating | None:
-        """Return the monitor of the temperature for a thermostat with friction."""
+        """Return the temperature monitor for a thermostat with friction, or None for other settings."""
         thermostat = settings.thermostat
         if thermostat is None or thermostat.relaxation is None or not (self._conserves and settings.check):
             return None
@@ -333,7 +334,7 @@ class HostPropagator:
         return Overheating(self.sync.bodies, kT, thermostat.relaxation)
 
     def _leave_coordinates(self, settings: Settings) -> None:
-        """Leave inner coordinates that are not those of the settings."""
+        """Map inner coordinates back to true coordinates, unless they belong to the settings."""
         inner = self.sync.inner_in(self._coordinates)
         if inner is not None and inner_mark(settings.scheme, settings.h) != self._coordinates:
             self.sync.state = self._true(inner)
@@ -351,14 +352,14 @@ class HostPropagator:
         if inner is not None and inner.fast.acts(scheme, settings.h):
             h = settings.h / settings.splits
             drift, split, slow = inner.split(forces, kinetic, self._timed, divergence, scheme, h)
-            if any(substep.kicks for substep, _ in settings.scheme.sequence):  # Metropolis's rule rejects what is hot
+            if any(substep.kicks for substep, _ in settings.scheme.sequence):  # hybrid Monte Carlo rejects hot states
                 inner.resonances.warn(scheme, abs(h))
-        if clusters:  # a cluster may find no way along its constraints; rigid bodies always do
+        if clusters:  # the drift of a cluster may fail, unlike that of a rigid body
             drift, split = _checked(drift, check), {name: _checked(some, check) for name, some in split.items()}
         return Kinetic(drift, displaced, kinetic.tangent, split), slow
 
     def _timed(self, drift: Flow[State], passes: bool = True) -> Flow[State]:
-        """Return a drift that moves the positions of the Context, and advances its time if it `passes`."""
+        """Return a drift that marks positions as changed and, if time `passes`, advances the time of the Context."""
         positions, clock, timings = self._positions, self._clock, self._timings
 
         def flow(state: State, tau: float) -> State:
@@ -385,5 +386,5 @@ def _checked(flow: Callable[[State, Any], State], check: Callable[[State], Any])
 
 
 def inner_mark(scheme: Scheme, h: float) -> float:
-    """Return a number that marks the inner coordinates of a scheme at a step size; 0 if there are none."""
+    """Return a number that identifies the inner coordinates of a scheme at a step size, or 0 if it has no processor."""
     return 1.0 + zlib.crc32(repr((scheme.processor, h)).encode()) if scheme.processor else 0.0

@@ -1,1 +1,1 @@
-"""The kernels for numba; importing them compiles them, or finds them in numba's cache."""
+"""The kernels for numba; importing a module compiles its kernels, or loads them from numba's cache."""

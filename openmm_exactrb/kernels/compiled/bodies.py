@@ -33,7 +33,7 @@ def torque_of(Q, b, F):
 
 @inner
 def _put_points(R, turning, particles, x):
-    """Write R of the bodies that do not turn into the rows of their particles."""
+    """Write the centres R of bodies that do not rotate into the rows of x of their particles."""
     for body in range(turning, R.shape[1]):
         for p in range(particles.starts[body], particles.starts[body + 1]):
             for e in range(3):
@@ -42,7 +42,7 @@ def _put_points(R, turning, particles, x):
 
 @compiled("f2 f2", Particles, "F2")
 def place(R, q, particles, x):
-    """Write the positions R + Q b of all particles into rows of x (., 3)."""
+    """Write the positions R + Q b of all particles into their rows of x (., 3)."""
     for body in range(q.shape[1]):
         Q = orientation(q, body)
         for p in range(particles.starts[body], particles.starts[body + 1]):
@@ -54,7 +54,7 @@ def place(R, q, particles, x):
 
 @compiled("f2 f2 f2", Particles, "F2")
 def move(V, omega, q, particles, v):
-    """Write the velocities V + Q (omega x b) of all particles into rows of v (., 3)."""
+    """Write the velocities V + Q (omega x b) of all particles into their rows of v (., 3)."""
     for body in range(q.shape[1]):
         Q = orientation(q, body)
         w = omega[0, body], omega[1, body], omega[2, body]
@@ -67,7 +67,7 @@ def move(V, omega, q, particles, v):
 
 @compiled("f2", Particles, "f2 F2 F2")
 def collect(q, particles, forces, total, torque):
-    """Sum the forces on the particles to those (3, N) and the torques (3, K) of their bodies."""
+    """Write the sums of the forces (3, N) and the torques (3, K) on bodies, from the forces on their particles."""
     for body in range(q.shape[1]):
         Q = orientation(q, body)
         T0 = T1 = T2 = N0 = N1 = N2 = 0.0

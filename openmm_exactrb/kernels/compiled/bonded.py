@@ -1,8 +1,8 @@
 """Forces of bonds, angles, torsions, maps of two torsions and pairs of atoms, compiled.
 
-Each term depends on one coordinate: a distance, an angle or a torsion. Terms are computed in blocks, one per lane, by
-vectorised loops: positions are gathered and replaced by the forces for -dV/d(coordinate) = 1, which are then scaled and
-added to the forces on the particles.
+Each term depends on one coordinate: a distance, an angle or a torsion. Terms are computed by vectorised loops over
+blocks, with one term per lane. Positions are gathered and replaced by the forces for -dV/d(coordinate) = 1, which are
+then scaled and added to the forces on the particles.
 
 The gradient of a torsion follows A. Blondel and M. Karplus, J. Comput. Chem. 17, 1132 (1996),
 doi:10.1002/(SICI)1096-987X(19960715)17:9<1132::AID-JCC5>3.0.CO;2-T.
@@ -17,35 +17,35 @@ from openmm_exactrb.kernels.compiled.vectors import cross, difference, dot, scal
 from openmm_exactrb.kernels.records import Terms
 
 _CIRCLE = 2.0 * math.pi
-#: Terms in a block. Rows of `lanes` (17, 64) are three for each of up to four particles, the factor of their forces,
-#: and what it follows from: the cosine and sine of an angle and of its multiples.
+#: Terms per block, and rows of `lanes` (17, 64): three rows for each of up to four particles, the factor of their
+#: forces, and the cosines and sines of an angle and of its multiples, from which the factor follows.
 _BLOCK, _ROWS = 64, 17
 _FACTOR, _COS, _SIN, _COS_N, _SIN_N = 12, 13, 14, 15, 16
 
 
 @inlined
 def _between(lanes, l, i, j):
-    """Return the vector from the j-th particle of a term to the i-th one."""
+    """Return the vector from the j-th particle of a term to the i-th particle."""
     i, j = 3 * i, 3 * j
     return lanes[i, l] - lanes[j, l], lanes[i + 1, l] - lanes[j + 1, l], lanes[i + 2, l] - lanes[j + 2, l]
 
 
 @inlined
 def _put(lanes, l, i, u):
-    """Write a force on the i-th particle of a term over its position."""
+    """Replace the position of the i-th particle of a term by the force on this particle."""
     lanes[3 * i, l], lanes[3 * i + 1, l], lanes[3 * i + 2, l] = u
 
 
 @inlined
 def _gather(x, members, begin, column, n, lanes):
-    """Put the positions of the n particles of a block of terms into lanes, and return the number of terms.
+    """Copy the positions of the n particles of each term of a block into lanes, and return the number of terms.
 
-    Their indices start at a column of `members`, and the block at a row.
+    The indices of these particles are in `members`: the block starts at row `begin`, and each term at `column`.
     """
     count = min(_BLOCK, len(members) - begin)
     for l in range(count):
         for i in range(n):
-            particle = np.uint64(members[begin + l, column + i])  # which cannot count from the end
+            particle = np.uint64(members[begin + l, column + i])  # unsigned, so that no index counts from the end
             for e in range(3):
                 lanes[3 * i + e, l] = x[particle, e]
     return count
@@ -53,7 +53,7 @@ def _gather(x, members, begin, column, n, lanes):
 
 @inlined
 def _scatter(lanes, members, begin, count, column, n, out):
-    """Add the forces in lanes, times their factors, to those on particles."""
+    """Add the forces in lanes, times their factors, to the forces `out` on particles."""
     for l in range(count):
         f = lanes[_FACTOR, l]
         for i in range(n):
@@ -64,7 +64,7 @@ def _scatter(lanes, members, begin, count, column, n, out):
 
 @inlined
 def _angles(x, angles, begin, lanes):
-    """Compute the sines and cosines of a block of angles, times the lengths of both sides, and the forces."""
+    """Compute the cosines and sines of a block of angles, times the lengths of both sides, and the unscaled forces."""
     count = _gather(x, angles, begin, 0, 3, lanes)
     for l in range(count):
         u, v = _between(lanes, l, 0, 1), _between(lanes, l, 2, 1)
@@ -81,7 +81,7 @@ def _angles(x, angles, begin, lanes):
 
 @inlined
 def _torsions(x, torsions, begin, column, lanes):
-    """Compute the cosines and sines of a block of torsions, and the forces."""
+    """Compute the cosines and sines of a block of torsions, and the unscaled forces."""
     count = _gather(x, torsions, begin, column, 4, lanes)
     for l in range(count):
         first, axis, last = _between(lanes, l, 0, 1), _between(lanes, l, 1, 2), _between(lanes, l, 3, 2)
@@ -113,7 +113,7 @@ def _series(lanes, begin, count, coefficients):
 
 @inlined
 def _turn(c, s):
-    """Return atan2(s, c): the tangent of a sixteenth of it is below 0.2, where the series of atan is short."""
+    """Return atan2(s, c), from a short series of atan: the tangent of a sixteenth of the angle is below 0.2."""
     t = s / max(math.sqrt(c * c + s * s) + c, 1e-300)
     for _ in range(3):
         t = t / (1.0 + math.sqrt(1.0 + t * t))
@@ -125,7 +125,7 @@ def _turn(c, s):
 
 @inlined
 def _patch(c, s, size):
-    """Return the part of the circle that contains an angle, and the position in it; nan is in the first part."""
+    """Return the index of the part of the circle that contains an angle, and the position in it; nan is in part 0."""
     angle = math.atan2(s, c) % _CIRCLE
     part = max(0, min(int(angle / _CIRCLE * size), size - 1))
     return part, angle - part * (_CIRCLE / size)
@@ -148,7 +148,7 @@ def _of_map(patch, u, v):
 
 @inlined
 def _act(out, i, j, f, u):
-    """Add a force f u on i, and its reaction on j."""
+    """Add the force f u on particle i, and the opposite force on particle j."""
     for e in range(3):
         out[i, e] += f * u[e]
     for e in range(3):
@@ -161,7 +161,7 @@ def _add_bonds(x, bonds, of_bonds, out):
         i, j = bonds[n]
         u = difference(x, i, j)
         r = math.sqrt(dot(u, u))
-        if r != 0.0:  # a bond of no length has no direction: OpenMM has no force there either
+        if r != 0.0:  # a bond of zero length has no direction; OpenMM has no force there either
             _act(out, i, j, of_bonds[1, n] * (of_bonds[0, n] - r) / r, u)
 
 

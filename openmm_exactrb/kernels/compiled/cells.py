@@ -1,9 +1,9 @@
-"""The pair sum of soft dipoles within a cutoff in a large box, by cells, in compiled double precision.
+"""The sum over pairs of soft dipoles within a cutoff in a large box, with a cell list, compiled in double precision.
 
-The edges of cells are at least half the cutoff. Each pair is computed once, in the row of one of its dipoles: the
-dipoles of a block of cells and of half of the cells near it are collected, those within the cutoff are selected, and
-their arithmetic is vectorised. The contributions of a plane of cells to itself and to the next two planes are stored
-separately and added in a fixed order, so that results are bit-identical for any number of threads.
+The edges of a cell are at least half the cutoff. Each pair is computed once, in the row of one of its two dipoles. The
+dipoles of a block of cells and of half of the surrounding cells are collected, the dipoles within the cutoff are
+selected, and their arithmetic is vectorised. The contributions of a plane of cells to itself and to the next two planes
+are stored separately and added in a fixed order, so that results are bit-identical for any number of threads.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from openmm_exactrb.support.types import Array
 
 Cells = tuple[int, int, int]
 
-# Cells that a cutoff reaches beyond one, and pairs whose arithmetic is done in one go.
+# Cells that the cutoff reaches in each direction, and pairs per block of vectorised arithmetic.
 _REACH, _CHUNK = 2, 256
 _LANES = 8
-# Rows of a dipole for what it gets from its plane of cells and from the two planes before, filled up to a power of two,
-# and cells along z whose dipoles share their partners.
+# Rows per dipole for the contributions of its own plane of cells and of the two previous planes, rounded up to a power
+# of two; and the number of cells along z whose dipoles share their partners.
 _ROWS, _BLOCK = np.uint64(4), 2
 
 
 def cells(edges: tuple[float, float, float], end: float) -> Cells | None:
-    """Return the number of cells along each edge of a box, or None if it is too small for a cutoff² of `end`."""
+    """Return the number of cells along each edge of a box, or None if the box is too small for a cutoff² of `end`."""
     cutoff = math.sqrt(end)
     x, y, z = (int(_REACH * edge / cutoff) for edge in edges)
     m = x, y, z
@@ -38,9 +38,9 @@ def cells(edges: tuple[float, float, float], end: float) -> Cells | None:
 
 
 def near_pairs(arrows: Array, n: int, m: Cells, law: tuple[Any, ...], threads: int) -> tuple[float, Array, Array]:
-    """Return energy, forces and fields (3, n) of the pairs of the first n `arrows` (6, n) within a truncation.
+    """Return the energy, forces and fields (3, n) of the pairs of the first n `arrows` (6, n) within the cutoff.
 
-    The law contains the arguments that `pair` takes after the products of the vectors, the truncation last.
+    `law` contains the arguments of `pair` that follow the products of vectors; the last one is the truncation.
     """
     heads, dipoles, placed = _sorted(arrows, n, m, law[-1])
     energies, partial = np.empty(n), np.zeros((int(_ROWS) * n, _LANES))
@@ -72,7 +72,7 @@ def _sorted(arrows, n, m, truncation):
 
 @at_first_call
 def by_cell(cell, cells):
-    """Return the start of each cell among the dipoles sorted by their cell (n,), and these dipoles."""
+    """Return the start of each cell in the list of dipoles sorted by their `cell` (n,), and this list."""
     heads, dipoles = np.zeros(cells + 1, np.int64), np.empty(len(cell), np.int64)
     for i in range(len(cell)):
         heads[cell[i] + 1] += 1
@@ -87,7 +87,7 @@ def by_cell(cell, cells):
 
 @inner_reordered
 def _collect(first, last, slab, sx, sy, sz, placed, found, who, row):
-    """Append dipoles first ... last, displaced by a shift, to those found; return their number."""
+    """Append the dipoles from `first` to `last` - 1, displaced by a shift, to `found`; return its number of dipoles."""
     begin, to, more = np.uint64(first), np.uint64(row), np.uint64(last - first)
     for j in range(more):
         found[0, to + j] = placed[0, begin + j] + sx
@@ -122,9 +122,10 @@ def _partners(cell, block, heads, placed, m, truncation, found, who):
 
 @inner_reordered
 def _arithmetic(k, u, work, repulsion, coupling, attraction, minimum, alpha, truncation):
-    """Return the energy of a dipole u with k others, and its force and field; those of the others are left in `work`.
+    """Return the energy, force and field of a dipole u with k others, whose forces and fields are written to `work`.
 
-    The rows of `work` are r², the vector r to the other dipole, its u, and its force and field.
+    The rows of `work` are r², the vector r between the two dipoles, and the u, the force and the field of the other
+    dipole.
     """
     ux, uy, uz = u
     energy = fx = fy = fz = gx = gy = gz = 0.0
@@ -149,10 +150,10 @@ def _arithmetic(k, u, work, repulsion, coupling, attraction, minimum, alpha, tru
 def _slabs(
     first, last, heads, placed, m, repulsion, coupling, attraction, minimum, alpha, truncation, energies, partial
 ):
-    """Sum the pairs of dipoles in given planes of cells with those in half of the surrounding cells."""
+    """Sum over the pairs of a dipole in given planes of cells with a dipole in half of the surrounding cells."""
     n, end = placed.shape[1], truncation[3]
     found, far, work = np.empty((3, 2 * n)), np.empty(2 * n), np.zeros(13 * _CHUNK)
-    who, hits = np.empty(2 * n, np.uint64), np.empty(2 * n + 1, np.uint64)  # of 64 bits, as no index is negative
+    who, hits = np.empty(2 * n, np.uint64), np.empty(2 * n + 1, np.uint64)  # unsigned, as no index is negative
     to, blocks = np.empty(_CHUNK, np.uint64), -(-m[2] // _BLOCK)
     for each in range(first * m[1] * blocks, last * m[1] * blocks):
         z = each % blocks * _BLOCK
@@ -183,7 +184,7 @@ def _slabs(
                     j = who[q] // _ROWS
                     work[3 * _CHUNK + h], work[4 * _CHUNK + h] = z - found[2, q], placed[3, j]
                     work[5 * _CHUNK + h], work[6 * _CHUNK + h] = placed[4, j], placed[5, j]
-                for h in range(many, full):  # these add nothing to the dipole itself
+                for h in range(many, full):  # padding, which adds nothing to the dipole
                     work[h], to[h] = np.inf, _ROWS * np.uint64(i)
                     for d in range(1, 7):
                         work[d * _CHUNK + h] = 0.0
@@ -198,7 +199,7 @@ def _slabs(
 
 @at_first_call
 def _add_up(dipoles, partial, forces, fields):
-    """Add up the contributions of the planes of cells to each dipole, in the original order."""
+    """Add up the contributions of planes of cells to each dipole, in the original order of the dipoles."""
     for q in range(len(dipoles)):
         i = dipoles[q]
         for d in range(3):

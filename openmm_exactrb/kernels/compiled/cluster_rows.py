@@ -1,7 +1,7 @@
 """Operations of `clusters` on blocks of L clusters.
 
 A block stores a vector per atom or constraint as a row of 3 L numbers, component by component, and a number per
-constraint as a row of L. Innermost loops along such rows are vectorised.
+constraint as a row of L numbers. Innermost loops along such rows are vectorised.
 """
 
 import math
@@ -13,7 +13,7 @@ from openmm_exactrb.mathematics.quaternions import TO_GRID
 
 @inner
 def gather(x, first, count, start, block):
-    """Copy clusters from `start` on into a block (., n, 3 L), padded with the last cluster."""
+    """Copy clusters from `start` on into a block (., n, 3 L), padded with copies of the last cluster."""
     sums, atoms, width = block.shape
     L = width // 3
     used = min(L, count - start)
@@ -29,7 +29,7 @@ def gather(x, first, count, start, block):
 
 @inner
 def scatter(block, first, count, start, x):
-    """Copy a block back."""
+    """Copy a block (., n, 3 L) back to the clusters from `start` on."""
     sums, atoms, width = block.shape
     L = width // 3
     for s in range(sums):
@@ -55,7 +55,7 @@ def add_compensated(x, step):
 
 @inner
 def vectors(x, pairs, lengths, r, defect):
-    """Write r_c (m, 3 L), and (d_c² - r_c.r_c)/2 (m, L) with an error of 1e-8 of a rounding of d_c²."""
+    """Write r_c (m, 3 L), and (d_c² - r_c.r_c)/2 (m, L) with an error of 1e-8 times the rounding error of d_c²."""
     L, weight = defect.shape[1], float(len(x) - 1)
     for c in range(len(pairs)):
         i, j, d = pairs[c, 0], pairs[c, 1], lengths[c]
@@ -86,7 +86,7 @@ def vectors(x, pairs, lengths, r, defect):
 
 @inner_reordered
 def factorise(r, graph, A):
-    """Write the Cholesky factor of B_cd r_c.r_d, with its diagonal inverted."""
+    """Write the Cholesky factor of the matrix B_cd r_c.r_d to A, with the diagonal entries inverted."""
     L, rows, columns = A.shape[1], graph.rows, graph.columns
     for c in range(len(rows) - 1):
         for e in range(rows[c], rows[c + 1]):
@@ -109,7 +109,7 @@ def factorise(r, graph, A):
 
 @inner_reordered
 def solve(A, rows, columns, b):
-    """Solve for b (m, L) in place."""
+    """Solve the linear systems with the Cholesky factor A for the right-hand sides b (m, L), in place."""
     L = A.shape[1]
     for c in range(len(rows) - 1):
         last = rows[c + 1] - 1
@@ -131,7 +131,7 @@ def solve(A, rows, columns, b):
 
 @inner_reordered
 def differences(a, pairs, scale, u):
-    """Write scale (a_i - a_j) for every pair of atoms."""
+    """Write scale (a_i - a_j) for every pair of atoms to u."""
     for c in range(len(pairs)):
         i, j = pairs[c, 0], pairs[c, 1]
         for l in range(u.shape[1]):
@@ -140,7 +140,7 @@ def differences(a, pairs, scale, u):
 
 @inner_reordered
 def on_atoms(F, pairs, factor, a):
-    """Write the signed sums of F_c over the pairs of each atom, times its factor."""
+    """Write the signed sum of F_c over the constraints of each atom, times the factor of the atom, to a."""
     a[:] = 0.0
     for c in range(len(pairs)):
         i, j = pairs[c, 0], pairs[c, 1]
@@ -152,7 +152,7 @@ def on_atoms(F, pairs, factor, a):
 
 @inner_reordered
 def add_scaled(x, scale, factor, y):
-    """Add scale times the rows of x, each with its factor, to y."""
+    """Add scale times each row of x, times the factor of the row, to y."""
     for k in range(len(y)):
         for i in range(y.shape[1]):
             y[k, i] += scale * factor[k] * x[k, i]
@@ -160,14 +160,14 @@ def add_scaled(x, scale, factor, y):
 
 @inner_reordered
 def add_products(a, b, out):
-    """Add the products a b of rows of equal length."""
+    """Add the elementwise products a b of rows of equal length to `out`."""
     for i in range(len(out)):
         out[i] += a[i] * b[i]
 
 
 @inner_reordered
 def dots(a, b, out):
-    """Write the products a.b of vectors (m, 3 L) as numbers (m, L)."""
+    """Write the dot products a.b of vectors (m, 3 L) to `out` (m, L)."""
     L = out.shape[1]
     for c in range(len(out)):
         for l in range(L):
@@ -176,7 +176,7 @@ def dots(a, b, out):
 
 @inner_reordered
 def over_components(a, b):
-    """Write the sums over the components of a (m, 3 L)."""
+    """Write the sums over the three components of a (m, 3 L) to b (m, L)."""
     L = b.shape[1]
     for c in range(len(b)):
         for l in range(L):
@@ -185,7 +185,7 @@ def over_components(a, b):
 
 @inner_reordered
 def of_each_component(b, a):
-    """Write numbers (m, L) to each of the components (m, 3 L)."""
+    """Write the numbers b (m, L) to each of the three components of a (m, 3 L)."""
     L = b.shape[1]
     for c in range(len(b)):
         for e in range(3):
@@ -195,7 +195,7 @@ def of_each_component(b, a):
 
 @inner_reordered
 def multiples(b, r, out):
-    """Write the products b r of numbers (m, L) and vectors (m, 3 L)."""
+    """Write the products b r of numbers b (m, L) and vectors r (m, 3 L) to `out`."""
     L = b.shape[1]
     for c in range(len(b)):
         for e in range(3):

@@ -1,24 +1,24 @@
 """The free flow of clusters with distance constraints, and the projection of their momenta, compiled.
 
-With r_c = x_i - x_j for each constraint c = (i, j), and s_ca = 1 for a = i, -1 for a = j and else 0,
+With r_c = x_i - x_j for each constraint c = (i, j), and s_ca = 1 for a = i, -1 for a = j and 0 otherwise,
 
     x_a'' = sum_c s_ca F_c / m_a,  F_c = lambda_c r_c,  r_c'' = sum_d B_cd F_d,  B_cd = sum_a s_ca s_da / m_a.
 
-These equations are closed in the r_c. Their power series, in units of the time of the drift, with w = (k + 1)(k + 2),
-is:
+These equations are closed in the r_c. With the time of the drift as the unit of time, and w = (k + 1)(k + 2), their
+power series is:
 
     r_c,k+2 = sum_d B_cd F_d,k / w,   F_c,k = lambda_c,k r_c,0 + sum_(j < k) lambda_c,j r_c,k-j.
 
-The multipliers follow from r_c.r_c = d_c², order by order, with one matrix A_cd = B_cd r_c,0.r_d,0 for all of them:
+The multipliers follow from r_c.r_c = d_c², order by order, with the same matrix A_cd = B_cd r_c,0.r_d,0 for all orders:
 
     sum_d A_cd lambda_d,k = -w q_c - r_c,0 . sum_d B_cd sum_(j < k) lambda_d,j r_d,k-j,
     q_c = sum_(0 < j < k + 2) r_c,j . r_c,k+2-j / 2.
 
-A is factorised once per drift. With the same factor the rounding errors of the initial positions, (d_c² - r_c.r_c)/2,
-and momenta, r_c.r_c', are corrected. A drift therefore starts with the projection of the momentum, which kicks need not
-perform.
+A is factorised once per drift. The same factor serves to correct the rounding errors (d_c² - r_c.r_c)/2 of the initial
+positions and r_c.r_c' of the initial momenta. A drift therefore starts with the projection of the momenta, and kicks
+need not project them.
 
-Clusters of one kind are advanced in blocks, see `cluster_rows`. State arrays x and p are double-doubles (2, 3, M), or
+Clusters of one kind are advanced in blocks; see `cluster_rows`. State arrays x and p are double-doubles (2, 3, M), or
 plain numbers (1, 3, M); atom a of cluster i is column first + a count + i.
 """
 
@@ -46,19 +46,19 @@ from openmm_exactrb.kernels.compiled.cluster_rows import (
 )
 from openmm_exactrb.kernels.records import Graph
 
-#: Orders of the multipliers that a drift may take; a step that needs more is halved.
+#: The largest number of orders of the multipliers in a drift; a step that needs more orders is halved.
 ORDERS = 30
-#: Two terms in a row are below this, as parts of the first one, where a series ends.
+#: A series ends when two successive terms are below this fraction of its first term.
 SETTLED = 1e-16
-#: How often a step is halved before a cluster has no answer.
+#: The largest number of times that a step is halved; a cluster that needs more becomes nan.
 HALVINGS = 12
-#: Clusters in a block.
+#: Clusters per block.
 LANES = 32
 
 
-#: Rows of a block. Of constraints: the series r and multipliers; terms F, q and g, their sums push and shift, and the
-#: bound of a term; numbers defect and b. Of atoms: velocities v, a response a, the projection of the momentum, inverse
-#: masses and ones. A is the Cholesky factor.
+#: The rows of a block. Rows of constraints contain the series r and multipliers; the terms F, q and g, their sums push
+#: and shift, and the bound of a term; and the numbers defect and b. Rows of atoms contain the velocities v, a response
+#: a, the projection of the momentum, inverse masses and ones. A is the Cholesky factor.
 Work = namedtuple("Work", "r multipliers F q g push shift bound defect b v a projection A inverse ones")
 
 
@@ -72,13 +72,13 @@ def _workspace(graph, L, orders):
     defect, b = np.empty(numbers), np.empty(numbers)
     v, a, projection = np.empty(of_atoms), np.empty(of_atoms), np.empty(of_atoms)
     A = np.empty((len(graph.weights), L))
-    inverse = graph.inverse.copy()  # of the same type as the ones: nothing is compiled for both
+    inverse = graph.inverse.copy()  # a copy has the same type as `ones`, so that functions are compiled once
     return Work(r, multipliers, F, q, g, push, shift, bound, defect, b, v, a, projection, A, inverse, np.ones(n))
 
 
 @inlined
 def _project(X, P, graph, work):
-    """Write r_0, the factor of A, the errors of the lengths, the projection and the velocities after it."""
+    """Write r_0, the factor of A, the errors of the lengths, the projection and the projected velocities."""
     vectors(X, graph.pairs, graph.lengths, work.r[0], work.defect)
     factorise(work.r[0], graph, work.A)
     work.v[:] = 0.0
@@ -129,7 +129,7 @@ def _add_terms(F, of_push, of_shift, push, shift):
 
 @inner_reordered
 def _still_large(r, k, bound):
-    """Return whether a term of order k is above its bound; False for nan."""
+    """Return whether any component of the term of order k exceeds its bound; nan does not exceed it."""
     r, bound, count = r.reshape(-1), bound.reshape(-1), 0
     for i in range(len(bound)):
         if k * abs(r[i]) > bound[i]:
@@ -139,7 +139,7 @@ def _still_large(r, k, bound):
 
 @inner
 def _bounds(r, bound):
-    """Write the bound for components of a term: SETTLED times the largest one of the cluster's first term."""
+    """Write the bound for components of a term: SETTLED times the largest component of the cluster's first term."""
     m, L = len(r), r.shape[1] // 3
     for l in range(L):
         largest = 0.0
@@ -152,7 +152,7 @@ def _bounds(r, bound):
 
 @inner_reordered
 def _keep_the_energy(v, change, inverse):
-    """Correct a change of momenta for the change of the kinetic energy by rounding; v is overwritten."""
+    """Correct a change of momenta so that rounding does not change the kinetic energy; v is overwritten."""
     n, width = v.shape
     L, mass = width // 3, 0.0
     centre, gained, energy = np.zeros(width), np.zeros(width), np.zeros(width)
@@ -182,7 +182,7 @@ def _keep_the_energy(v, change, inverse):
 
 @inlined
 def _step(X, P, t, graph, work):
-    """Advance a projected block by t; or change nothing and return False if a series does not converge."""
+    """Advance a projected block by t if all series converge, and return whether they do."""
     solve(work.A, graph.rows, graph.columns, work.defect)
     multiples(work.defect, work.r[0], work.shift)
     work.push[:] = 0.0
@@ -209,7 +209,7 @@ def _step(X, P, t, graph, work):
 
 @inner
 def _give_up(X, P, work):
-    """Set clusters whose series have not converged to nan."""
+    """Set the positions and momenta of clusters whose series have not converged to nan."""
     r, bound = work.r, work.bound
     L = bound.shape[1] // 3
     for c in range(len(bound)):
@@ -224,10 +224,10 @@ def _give_up(X, P, work):
 def advance(x, p, t, moves, first, count, graph, x1, p1):
     """Write the positions and momenta of the clusters of a kind after the time t.
 
-    A cluster becomes nan if a number is not finite, its positions are singular, or its motion is too fast.
+    A cluster becomes nan if one of its numbers is not finite, its positions are singular, or its motion is too fast.
 
-    The kind has `count` clusters from column `first` on. Unless it `moves`, only the momenta are projected, so that
-    r_c.r_c' = 0. The results x1 and p1 may overwrite x and p.
+    The kind has `count` clusters from column `first` on. Unless the kind `moves`, the momenta are only projected, so
+    that r_c.r_c' = 0. The results x1 and p1 may overwrite x and p.
     """
     L = min(count, LANES)
     X, P = np.empty((len(x), len(graph.inverse), 3 * L)), np.empty((len(x), len(graph.inverse), 3 * L))

@@ -9,7 +9,7 @@ from openmm_exactrb.kernels.compiled.vectors import difference, dot
 
 @inner
 def _anisotropy(a, b, c, chi):
-    """Return H = 1 - chi (a² + b² - 2 chi a b c)/(1 - chi² c²) and its derivatives by a, b and c."""
+    """Return H = 1 - chi (a² + b² - 2 chi a b c)/(1 - chi² c²) and its derivatives with respect to a, b and c."""
     f = chi / (1.0 - chi * chi * c * c)
     N = a * a + b * b - 2.0 * chi * a * b * c
     Ha, Hb = -2.0 * f * (a - chi * b * c), -2.0 * f * (b - chi * a * c)
@@ -18,12 +18,15 @@ def _anisotropy(a, b, c, chi):
 
 @inner
 def _pair(r, a, b, c, chi, chi_prime, sigma, shift, scale):
-    """Return the energy and its derivatives by r, a = u.r/r, b = v.r/r and c = u.v; nan if the ellipsoids overlap."""
+    """Return the energy of a pair and its derivatives with respect to r, a, b and c; nan if the ellipsoids overlap.
+
+    Here a = u.r/r, b = v.r/r and c = u.v.
+    """
     H, Ha, Hb, Hc = _anisotropy(a, b, c, chi)
     K, Ka, Kb, Kc = _anisotropy(a, b, c, chi_prime)
     width = sigma / np.sqrt(H)
     R = (r - width) / shift + 1.0
-    if R <= 0.0:  # beyond the pole the formula attracts
+    if R <= 0.0:  # beyond its pole, the formula would attract
         return np.nan, np.nan, np.nan, np.nan, np.nan
     i = 1.0 / R
     i6 = (i * i * i) * (i * i * i)
@@ -46,9 +49,10 @@ def _nearest(x, i, j, box):
 
 @compiled("f2 f1 f1 F2 F1")
 def gay_berne(x, box, law, forces, energy):
-    """Write forces (kJ/mol/nm) and energy (1,) (kJ/mol) of ellipsoids with centres and axes x in a box, in nm.
+    """Write the forces (kJ/mol/nm) on ellipsoids in a box and their energy (1,) (kJ/mol).
 
-    The law (7,) is chi, chi', diameter and shift (nm), 4 epsilon (kJ/mol), cutoff and start of the switch (nm).
+    x contains the centre of each ellipsoid and a point on its axis, and `box` the edges (nm). `law` (7,) contains chi,
+    chi', the diameter and the shift (nm), 4 epsilon (kJ/mol), and the cutoff and the start of the switch (nm).
     """
     n = len(x) // 2
     chi, chi_prime, sigma, shift, scale, cutoff, begin = law
@@ -83,7 +87,7 @@ def gay_berne(x, box, law, forces, energy):
                 forces[2 * j, k] += push
                 pulls[i, k] -= Ua * e[k] + Uc * v[k]
                 pulls[j, k] -= Ub * e[k] + Uc * u[k]
-    for i in range(n):  # what turns the axis, without what would stretch it
+    for i in range(n):  # the component that rotates the axis, without the one that would stretch it
         u, stretch = axes[i], dot(pulls[i], axes[i])
         for k in range(3):
             forces[2 * i + 1, k] = (pulls[i, k] - stretch * u[k]) / lengths[i]

@@ -1,4 +1,4 @@
-"""Jacobi's functions and the third integral of one body, compiled: `openmm_exactrb.mathematics.elliptic`."""
+"""Jacobi's functions and the integral of the third kind for one body: `mathematics.elliptic`, compiled."""
 
 import math
 
@@ -82,10 +82,10 @@ def third_kind(v, kc2, c, b, w, cn, dn, half_turns):
 
 @inner
 def carlson_rj(x, y, z, p):
-    """Return R_J(x, y, z, p) for 0 <= x, y, z <= p, at most one of x, y, z zero.
+    """Return Carlson's integral R_J(x, y, z, p) for 0 <= x, y, z <= p, where at most one of x, y, z is zero.
 
-    Duplication, then the series of DLMF 19.36.1-2. B. C. Carlson, Numer. Algorithms 10, 13 (1995),
-    doi:10.1007/BF02198293.
+    The duplication theorem is applied before the series of DLMF 19.36.1-2. B. C. Carlson, Numer. Algorithms 10, 13
+    (1995), doi:10.1007/BF02198293.
     """
     delta = (p - x) * (p - y) * (p - z)
     mean = 0.2 * (x + y + z + 2.0 * p)
@@ -127,7 +127,7 @@ def carlson_rj(x, y, z, p):
 
 @inlined
 def rescaled(y1, y2):
-    """Return (y1, y2)/unit and unit, a power of two if fourth powers would underflow; (0, 1) and 0 if both are zero."""
+    """Return (y1, y2)/unit and unit: 1, or a power of two if fourth powers would underflow; (0, 1) and 0 for zeros."""
     size = max(abs(y1), abs(y2))
     if size >= VANISHING:
         return y1, y2, 1.0

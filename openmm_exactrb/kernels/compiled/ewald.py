@@ -1,7 +1,7 @@
 """The Ewald sum of point dipoles in reciprocal space, compiled.
 
-S. W. de Leeuw, J. W. Perram and E. R. Smith, Proc. R. Soc. A 373, 27 (1980). Standing waves are used, products of a
-cosine or a sine along each axis, so that sums over them are successive sums along the axes.
+S. W. de Leeuw, J. W. Perram and E. R. Smith, Proc. R. Soc. A 373, 27 (1980). The waves are standing waves, products of
+a cosine or a sine along each axis, so that sums over waves are successive sums along the axes.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ def number_of_waves(edges: Edges, k_max: float) -> float:
 def reciprocal_space(
     r: Array, u: Array, edges: Edges, alpha: float, k_max: float, dielectric: float, threads: int = 1
 ) -> tuple[float, Array, Array]:
-    """Return the energy of dipoles u (3, n) at r (3, n) and its negative derivatives by r and u: forces and fields.
+    """Return the energy of dipoles u (3, n) at r (3, n), the forces and the fields: -dU/dr and -dU/du of this energy U.
 
-    Each dipole is in the Gaussian clouds of inverse width `alpha` of all others, in all images of a rectangular box
-    with these `edges`, surrounded by a medium of relative permittivity `dielectric`. Results are bit-identical for any
-    number of threads.
+    Each dipole interacts with the Gaussian clouds, of inverse width `alpha`, of all other dipoles and of all periodic
+    images in a rectangular box with these `edges`. The sample is surrounded by a medium of relative permittivity
+    `dielectric`. Results are bit-identical for any number of threads.
     """
     weights, counts = _spectrum(edges, alpha, k_max)
     kx, ky, kz = (_wave_numbers(edge, k_max) for edge in edges)
@@ -47,7 +47,7 @@ def reciprocal_space(
 
 
 def uniform_field(u: Array, edges: Edges, alpha: float, dielectric: float) -> Array:
-    """Return the fields (3, n) of the surface of the sample, and the field correction for its own cloud."""
+    """Return the fields (3, n) of the surface of the sample, plus the correction for each dipole's own cloud."""
     own = 4.0 * alpha**3 / (3.0 * math.sqrt(math.pi)) * u
     own -= 4.0 * math.pi / ((2.0 * dielectric + 1.0) * math.prod(edges)) * u.sum(axis=1, keepdims=True)
     return own
@@ -59,10 +59,10 @@ def _wave_numbers(edge: float, k_max: float) -> Array:
 
 @lru_cache(maxsize=2)  # a barostat goes back and forth between two boxes
 def _spectrum(edges: Edges, alpha: float, k_max: float) -> tuple[Array, NDArray[np.int64]]:
-    """Return weights W of the products of waves along x, y and z, and the number of waves along z for each.
+    """Return the weights of products of waves along x, y, z, and the number of waves along z for each pair along x, y.
 
-    Along an axis, waves alternate between the cosine and the sine of each wave number; each nonzero one also represents
-    its opposite. The second wave is sin 0 = 0.
+    Along an axis, waves alternate between the cosine and the sine of each wave number; each nonzero wave number also
+    represents its opposite. The second wave is sin 0 = 0.
     """
     kx, ky, kz = (_wave_numbers(edge, k_max).repeat(2) for edge in edges)
     k2 = kx[:, None, None] ** 2 + ky[:, None] ** 2 + kz**2
@@ -76,7 +76,7 @@ def _spectrum(edges: Edges, alpha: float, k_max: float) -> tuple[Array, NDArray[
 
 @at_first_call
 def _standing_waves(x, k):
-    """Return alternating cos k x and sin k x, (2 k, n)."""
+    """Return cos k x and sin k x, alternating, for all wave numbers k (2 len(k), n)."""
     waves = np.empty((2 * len(k), len(x)))
     waves[0], waves[1] = 1.0, 0.0
     for m in range(1, len(k)):
@@ -92,7 +92,7 @@ def _standing_waves(x, k):
 
 @at_first_call
 def _differentiated(waves, k):
-    """Return standing waves and their first and second derivatives, (3, 2 k, n)."""
+    """Return standing waves and their first and second derivatives (3, 2 len(k), n)."""
     all_three = np.empty((3, waves.shape[0], waves.shape[1]))
     for m in range(len(k)):
         for i in range(waves.shape[1]):
@@ -105,7 +105,7 @@ def _differentiated(waves, k):
 
 @at_first_call
 def _amplitudes(first, last, u, x, y, z, kz, counts, amplitudes):
-    """Sum u.grad over all dipoles, for the waves of given rows of x."""
+    """Write the sums of u.grad over all dipoles, for the waves in given rows of x."""
     n = u.shape[1]
     across, along = np.empty((2, n))
     for a in range(first, last):
@@ -129,11 +129,11 @@ def _amplitudes(first, last, u, x, y, z, kz, counts, amplitudes):
 
 @at_first_call
 def _derivatives(first, last, u, x, y, z, kz, counts, factors, forces, fields):
-    """Sum factors times u.grad over all waves, and compute the negative derivatives, for given dipoles.
+    """Compute the forces and fields on given dipoles: derivatives of the sum of factors times u.grad.
 
-    Sums over waves along z and their derivatives come first, then sums of these along y, then along x.
+    Sums over waves, and their derivatives, are computed along z first, then along y, and finally along x.
     """
-    first, last = np.uint64(first), np.uint64(last)  # no index is negative: this keeps the loops in vector registers
+    first, last = np.uint64(first), np.uint64(last)  # unsigned, so that the loops are vectorised
     g, gz, gzz, h, hy, hyy, hz, hyz, hzz = np.empty((9, u.shape[1]))
     for a in range(counts.shape[0]):
         h[:] = hy[:] = hyy[:] = hz[:] = hyz[:] = hzz[:] = 0.0

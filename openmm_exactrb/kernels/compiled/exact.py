@@ -1,7 +1,7 @@
-"""The exact flow of the free rigid body, compiled: the twin of `plain.exact`, with its formulas and its names.
+"""The exact flow of the free rigid body, compiled, with the formulas and the names of `plain.exact`.
 
-Steps with b G h <= 0.3 are computed by `_short` in blocks of bodies; it has neither branches nor calls, so that it is
-vectorised. All other steps are computed by `_long`, one body at a time.
+Steps with b G h <= 0.3 are computed by `_short` in blocks of bodies. This function has neither branches nor calls, so
+that it is vectorised. All other steps are computed by `_long`, one body at a time.
 """
 
 import math
@@ -22,20 +22,20 @@ from openmm_exactrb.kernels.compiled.rotations import (
 )
 from openmm_exactrb.kernels.plain.exact import ON_SEPARATRIX, SAFE, SHORT, VANISHING
 
-# Bodies in a block. With rows at distances known at compile time they are known not to overlap.
+# Bodies per block. The distances between rows are known at compile time, so that rows are known not to overlap.
 _BLOCK = 64
 _ROWS = 23
-# h G/I3 up to which the reduction of its angle is exact to roundoff.
+# The largest h G/I3 for which the reduction of the angle is exact to roundoff.
 _LARGEST_ANGLE = 1e4
 _SMALLEST, _LARGEST = SAFE
 
 
 @inner
 def _short_block(block):
-    """Advance a block.
+    """Advance a block of bodies by short steps.
 
-    Rows: b, rho, sigma, 1/I3, m (3), t, q (4), the new m (3), whether the step was short, the low parts of q (4) and
-    of m (3).
+    The rows are b, rho, sigma, 1/I3, m (3), t, q (4), the new m (3), whether the step was short, and the low parts of q
+    (4) and of m (3).
     """
     for i in range(_BLOCK):
         b, rho, sigma, inverse_I3 = block[i], block[_BLOCK + i], block[2 * _BLOCK + i], block[3 * _BLOCK + i]
@@ -68,7 +68,7 @@ def _short_block(block):
 
 @inlined
 def _short(b, rho, sigma, inverse_I3, x1, x2, x3, t):
-    """Return the rotation of a step minus one, the change of the momentum, and whether the step is short enough."""
+    """Return the rotation of a step minus the identity, the change of the momentum, and whether the step is short."""
     square_G = x1 * x1 + x2 * x2 + x3 * x3
     G = math.sqrt(square_G)
     hG = t * G
@@ -105,7 +105,7 @@ def _long(body, block, i, means):
     t = block[7 * _BLOCK + i]
     m1, m2, m3 = block[4 * _BLOCK + i], block[5 * _BLOCK + i], block[6 * _BLOCK + i]
     largest = max(abs(m1), abs(m2), abs(m3))
-    if not (largest < math.inf and abs(t) < math.inf):  # nan comes here too
+    if not (largest < math.inf and abs(t) < math.inf):  # also true for nan
         for row in range(8, 15):
             block[row * _BLOCK + i] = math.nan
         return
@@ -178,7 +178,7 @@ def advance(body, q, m, t, q1, m1):
             for i in range(length):
                 block[(8 + row) * _BLOCK + i] = q[0, row, start + i]
                 block[(16 + row) * _BLOCK + i] = q[1, row, start + i] if summing else 0.0
-        for i in range(length, _BLOCK):  # the rest is not used, but has to be a number
+        for i in range(length, _BLOCK):  # padding, which must be finite
             for row in range(12):
                 block[row * _BLOCK + i] = 1.0
         _short_block(block)

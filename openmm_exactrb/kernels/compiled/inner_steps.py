@@ -16,7 +16,7 @@ from openmm_exactrb.kernels.records import Bodies, Graph, Particles, Terms
 
 @inner
 def _move_single(R, P, mass, first, last, t):
-    """Advance the centres of bodies from `first` to `last` by free motion."""
+    """Advance the centres of the bodies from `first` to `last` - 1 by free motion."""
     for row in range(3):
         for i in range(first, last):
             R[0, row, i], R[1, row, i] = two_sum(R[0, row, i], t * (P[0, row, i] / mass[i]) + R[1, row, i])
@@ -58,15 +58,15 @@ def _move_clusters(R, P, t, kinds, graphs):
 def advance(
     kicks, parts, t, hottest, known, bodies, particles, kinds, graph, terms, R, P, q, m, x, forces, total, torque, found
 ):
-    """Perform a sequence of kicks, where `kicks` (k,) is true, and drifts, over parts (k,) of the time t.
+    """Perform a sequence of kicks, where `kicks` (k,) is nonzero, and drifts, over `parts` (k,) of the time t.
 
-    R to m are changed in place. `kinds` (n + 1, 8) contains, for each kind, its first column, its number of clusters,
-    and the start of its part of the concatenated fields of `graph`: atoms, constraints, entries, rows, starts and
-    products. x (., 3) and `forces` (., 3) are overwritten. If `known`, `total` (3, N) and `torque` (3, K) are the
-    forces and torques at the start. The sequence ends after a kick that leaves more kinetic energy per body (kJ/mol)
-    than the hottest bodies have. `found` (2,) is the number of force evaluations, and this energy.
+    R, P, q and m are changed in place. `kinds` (n + 1, 8) contains, for each kind, its first column, its number of
+    clusters, and the start of its part of the concatenated fields of `graph`: atoms, constraints, entries, rows, starts
+    and products. x (., 3) and `forces` (., 3) are overwritten. If `known` is true, `total` (3, N) and `torque` (3, K)
+    are the forces and torques at the start. The sequence ends early if the kinetic energy per body after a kick exceeds
+    `hottest` (kJ/mol). `found` (2,) receives the number of force evaluations and the last kinetic energy per body.
     """
-    first = kinds[0, 0]  # of the clusters, behind which there are none
+    first = kinds[0, 0]  # first column of the clusters, `last` is the one after them
     last = kinds[len(kinds) - 1, 0]
     time = np.empty(1)
     found[:] = 0.0

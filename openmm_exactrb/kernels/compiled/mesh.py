@@ -1,8 +1,9 @@
 """The Ewald sum of point dipoles in reciprocal space on a mesh, compiled.
 
-Smooth particle mesh Ewald (Essmann et al., J. Chem. Phys. 103, 8577 (1995)) of dipoles: the mesh charge is Q = sum
-(u.grad) W(r - mesh), W a B-spline, and the energy is half the sum of G(k) times the square of Q(k). Forces and fields
-are its exact derivatives, from those of the spline. An evaluation takes one forward and one inverse transform.
+Smooth particle mesh Ewald for dipoles (Essmann et al., J. Chem. Phys. 103, 8577 (1995)): the mesh charge is Q = sum
+(u.grad) W(r - mesh), where W is a B-spline, and the energy is half the sum of G(k) times the square of Q(k). Forces and
+fields are exact derivatives of this energy, and follow from the derivatives of the spline. An evaluation takes one
+forward and one inverse Fourier transform.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ Points = tuple[int, int, int]
 def reciprocal_space(
     r: Array, u: Array, edges: Edges, alpha: float, points: Points, order: int, dielectric: float, threads: int = 1
 ) -> tuple[float, Array, Array]:
-    """Return the energy of dipoles u (3, n) at r (3, n), and minus its derivatives by r and u: forces and fields.
+    """Return the energy of dipoles u (3, n) at r (3, n), the forces and the fields: -dU/dr and -dU/du of this energy U.
 
     The function corresponds to `ewald.reciprocal_space`, with splines of even `order` on a mesh with given numbers of
     `points`. The mesh moves with the mean of r, so that the energy is invariant under translations, and the forces add
@@ -58,7 +59,7 @@ def reciprocal_space(
 
 
 def fast_size(points: float) -> int:
-    """Return the smallest number of points, at least the given one up to roundoff, with a fast Fourier transform."""
+    """Return the smallest number of mesh points with a fast transform that is at least `points`, up to roundoff."""
     return int(scipy.fft.next_fast_len(math.ceil(points * (1.0 - 1e-9)), real=True))
 
 
@@ -66,8 +67,8 @@ def fast_size(points: float) -> int:
 def spline(order: int) -> Array:
     """Return the pieces of a B-spline and of its first two derivatives as polynomials.
 
-    The coefficients of t^order-1, ... t, 1 (3, order, points) at the points 0, 1, ... order - 1, for a dipole at
-    order/2 - 1 + t, with zeros up to full vector registers.
+    The result (3, order, points) contains coefficients of t^(order-1), ..., t, 1 at the points 0, 1, ..., order - 1,
+    for a dipole at order/2 - 1 + t. The points are padded with zeros to full vector registers.
     """
     pieces = [np.ones(1)]
     for k in range(2, order + 1):
@@ -86,10 +87,10 @@ def spline(order: int) -> Array:
 
 @lru_cache(maxsize=2)  # a barostat goes back and forth between two boxes
 def influence_function(edges: Edges, alpha: float, points: Points, order: int) -> Array:
-    """Return the influence function G(k) of the mesh that minimises the errors of the forces of random dipoles.
+    """Return the influence function of the mesh that minimises the errors of the forces on random dipoles.
 
-    It is G k^6 W²/(sum k² W² sum k^4 W²), with sums over all aliases of k, where G is that of the Ewald sum and W is
-    the transform of the spline.
+    It is G k^6 W²/(sum k² W² sum k^4 W²), with sums over all aliases of k, where G is the influence function of the
+    Ewald sum and W the Fourier transform of the spline.
     """
     k = [2.0 * math.pi / edge * scipy.fft.fftfreq(n, 1.0 / n) for edge, n in zip(edges, points, strict=True)]
     k[2] = k[2][: points[2] // 2 + 1]
@@ -105,7 +106,7 @@ def influence_function(edges: Edges, alpha: float, points: Points, order: int) -
 
 
 def alias_sums(k, steps, order):
-    """Return W(k)², and the sums of k² W² and of k^4 W² over all aliases of k, for the three axes of k."""
+    """Return W(k)², and the sums of k² W² and of k^4 W² over all aliases of k, from its components along the axes."""
     ones, moments = [], []
     for q, h in zip(k, steps, strict=True):
         aliases = q + 2.0 * math.pi / h * np.arange(-3, 4).reshape(-1, *q.ndim * [1])
@@ -127,7 +128,7 @@ def _places(r, origin, edges, points):
         for i in range(r.shape[1]):
             x = (r[d, i] - origin[d]) * (n / edges[d])
             x -= n * math.floor(x / n)
-            inside = (x >= 0.0) & (x < n)  # neither by roundoff nor no number
+            inside = (x >= 0.0) & (x < n)  # false for n by roundoff and for nan
             base[i, d] = int(x) if inside else 0
             rest[i, d] = x - math.floor(x)
     return base, rest
@@ -135,14 +136,14 @@ def _places(r, origin, edges, points):
 
 @inner_reordered
 def _weigh(i, rest, scale, C, steps, w):
-    """Evaluate the spline and its derivatives along each axis (3, 3, order) for one dipole."""
+    """Write the spline and its first two derivatives along each axis, for one dipole, to w (3, 3, order)."""
     for d in range(3):
         spline_rows(C, rest[i, d], scale[d], w, 3 * C.shape[2] * d, steps)
 
 
 @at_first_call
 def _spread(first, last, u, base, rest, scale, heads, dipoles, C, steps, points, mesh):
-    """Sum the mesh charge in given planes, whose margins wrap around."""
+    """Sum the mesh charge in given planes, and add their margins periodically."""
     nx, ny, nz = points
     order, height, stride = len(steps), mesh.shape[1], mesh.shape[2]
     w = np.empty((3, 3, C.shape[2]))
@@ -174,14 +175,14 @@ def _multiply(first, last, influence, Q, nz, energies):
             for z in range(Q.shape[2]):
                 q, G = Q[x, y, z], influence[x, y, z]
                 here = G * (q.real * q.real + q.imag * q.imag)
-                energy += here if 0 < 2 * z < nz else 0.5 * here  # of two that are each other's opposite, or its own
+                energy += here if 0 < 2 * z < nz else 0.5 * here  # k also represents -k, unless they are equal
                 Q[x, y, z] = complex(G * q.real, G * q.imag)
         energies[x] = energy
 
 
 @at_first_call
 def _pad(first, last, phi, mesh):
-    """Copy given planes into planes with margins."""
+    """Copy given planes of the potential into planes with periodic margins."""
     ny, nz = phi.shape[1:]
     for x in range(first, last):
         for y in range(mesh.shape[1]):
@@ -194,7 +195,7 @@ def _pad(first, last, phi, mesh):
 
 @at_first_call
 def _gather(first, last, u, base, rest, scale, dipoles, C, steps, phi, forces, fields):
-    """Compute the negative derivatives of the energy of given dipoles in the potential on the mesh."""
+    """Compute the forces and fields on given dipoles in the potential on the mesh."""
     nx, height, stride = phi.shape
     w, sums = np.empty((3, 3, C.shape[2])), np.empty((6, C.shape[2]))
     for q in range(first, last):

@@ -12,7 +12,7 @@ _FAR = 6.5
 
 
 def _polynomial(coefficients):
-    """Return a function for a polynomial, as four independent polynomials of x^4."""
+    """Return a function that evaluates a polynomial as four independent polynomials in x^4."""
     C = np.zeros((-(-len(coefficients) // 4), 4))
     C.flat[: len(coefficients)] = coefficients
     highest, rest = tuple(map(float, C[-1])), C[-2::-1].copy()
@@ -30,7 +30,7 @@ def _polynomial(coefficients):
     return polynomial
 
 
-def _scaled_erfc(t):  # scipy's would cost its import, which takes half as long as numba's
+def _scaled_erfc(t):  # importing scipy for erfcx would take half as long as importing numba
     x = 2.0 * (1.0 + t) / (1.0 - t)
     return math.exp(x * x) * math.erfc(x)
 
@@ -48,7 +48,7 @@ _erfcx = _polynomial(
 
 @inlined
 def screened(r2, i, alpha):
-    """Return B1, B2 and B3 of a pair with the energy B1 u.v - B2 u.r v.r; each derivative is -r times the next."""
+    """Return B1, B2, B3 of a pair with the energy B1 u.v - B2 u.r v.r, where dB1/dr = -r B2 and dB2/dr = -r B3."""
     s = min(alpha * alpha * r2, _FAR**2)
     x = math.sqrt(s)
     gauss = _root_of_exp((_MIDDLE - s) / 32.0)
@@ -58,13 +58,13 @@ def screened(r2, i, alpha):
     b1 = gauss * _erfcx((x - 2.0) / (x + 2.0)) + slope
     b2 = 3.0 * b1 + 2.0 * s * slope
     b3 = 5.0 * b2 + 4.0 * s * s * slope
-    b = i * alpha / x  # 1/r³, up to where nothing is left of it
+    b = i * alpha / x  # 1/r³ within the range of the screened dipole
     return b * b1, b * i * b2, b * i * i * b3
 
 
 @inlined
 def pair(r2, uv, ur, vr, repulsion, coupling, attraction, minimum, alpha, truncation):
-    """Return energy, and a, b, c of the force a r + c (ur v + vr u) on the centre and c vr r - b v on the tip."""
+    """Return the energy, and a, b, c of the force a r + c (ur v + vr u) on the centre and c vr r - b v on the tip."""
     i = 1.0 / r2
     core = repulsion * (i * i * i) * (i * i * i)
     slope = 12.0 * core
@@ -88,9 +88,9 @@ def pair(r2, uv, ur, vr, repulsion, coupling, attraction, minimum, alpha, trunca
 
 @at_first_call
 def truncated(r2, uv, core, slope, energy, a, b, c, coupling, truncation):
-    """Add the reaction field to the dipoles' part, and multiply both parts by their switches.
+    """Add the reaction field to the part of the dipoles, and multiply the parts of dipoles and spheres by switches.
 
-    A switch S(r²) is smooth to the sixth derivative. The energy of the spheres is shifted before it is switched.
+    A switch S(r²) has six continuous derivatives. The energy of the spheres is shifted before it is switched.
     """
     _, _, _, _, end, rate, reaction, end_of_core, rate_of_core, shift = truncation
     b -= coupling * reaction
@@ -103,7 +103,7 @@ def truncated(r2, uv, core, slope, energy, a, b, c, coupling, truncation):
 
 @inlined
 def switched(r2, end, rate):
-    """Return S(r²) and its derivative."""
+    """Return the switch S(r²) and its derivative with respect to r²."""
     s = min(1.0, max(0.0, (end - r2) * rate))
     t = 2.0 * s - 1.0
     u = t * t

@@ -1,7 +1,7 @@
-"""The sum over soft dipoles in compiled double precision.
+"""The sum over pairs of soft dipoles, compiled in double precision.
 
-If the cutoff leaves no room for cells, every sphere sums over all others, so that each pair is computed twice: rows are
-independent, the inner loop is vectorised, and results are bit-identical for any number of threads.
+If the box is too small for cells, the sum of every sphere runs over all others, so that each pair is computed twice.
+Rows are then independent, the inner loop is vectorised, and results are bit-identical for any number of threads.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ def soft_dipoles(
 ) -> tuple[float, Array]:
     """Return the energy and the forces of `potentials.SoftDipoles`, whose `energy_and_forces` describes x and threads.
 
-    repulsion, coupling and attraction are 4 epsilon sigma^12, (strength/length)² and 4 epsilon sigma^6; minimum is the
-    squared distance where the energy of the spheres ends, and the shift of the energy. A truncation has the edges of
-    the box and the square of the longer cutoff; the squared cutoff of the dipoles, 1/(width of their switch in r²) and
-    the strength of the reaction field; the squared cutoff of the spheres, 1/(width of their switch in r²), and the
-    energy that is subtracted from theirs.
+    repulsion, coupling and attraction are 4 epsilon sigma^12, (strength/length)² and 4 epsilon sigma^6. `minimum`
+    contains the squared distance at which the energy of the spheres ends, and the shift of this energy. `truncation`
+    contains, in this order: the edges of the box and the square of the longer cutoff; the squared cutoff of the
+    dipoles, 1/(width of their switch in r²) and the strength of the reaction field; the squared cutoff of the spheres,
+    1/(width of their switch in r²) and the energy that is subtracted from the energy of the spheres.
     """
     if ewald and truncation is None:
         raise ValueError("an Ewald sum needs a box")
@@ -60,19 +60,20 @@ def soft_dipoles(
         far, push, pull = _images(arrows, n, truncation[:3], ewald, threads)
         energy, force, field = energy + coupling * far, force + coupling * push, field + coupling * pull
     forces = np.empty((2 * n, 3))
-    # The potential moves a centre at a fixed arrow: its particle loses what the tip gets.
+    # `force` is for a displacement of the centre with a fixed arrow, so the centre's particle has `force` minus the
+    # force on the tip.
     forces[0::2], forces[1::2] = (force - field).T, field.T
     return energy, forces
 
 
 def _work(n: int, truncation: Truncation | None, ewald: Ewald | None) -> float:
-    """Return the work in units of pairs without screening."""
+    """Return the work in units of the work for a pair without screening."""
     waves = number_of_waves(truncation[:3], ewald[1]) if truncation and ewald and len(ewald) == 3 else 0.0
     return n * (n + waves / 10)
 
 
 def _images(arrows: Array, n: int, edges: mesh.Edges, ewald: Ewald, threads: int) -> tuple[float, Array, Array]:
-    """Return energy, forces and fields (3, n) in reciprocal space, per coupling."""
+    """Return the energy, forces and fields (3, n) of the sum in reciprocal space, divided by the coupling."""
     if len(ewald) == 3:
         alpha, k_max, dielectric = ewald
         energy, forces, fields = reciprocal_space(arrows[:3], arrows[3:], edges, alpha, k_max, dielectric, threads)
@@ -90,7 +91,7 @@ def _images(arrows: Array, n: int, edges: mesh.Edges, ewald: Ewald, threads: int
 
 @at_first_call
 def _split(x):
-    """Return centres and arrows (tip minus centre), component-first, padded to full vector registers."""
+    """Return the components of centres and of arrows (tip minus centre) as rows, padded to full vector registers."""
     n = len(x) // 2
     arrows = np.zeros((6, (n + 7) // 8 * 8))
     for i in range(n):
@@ -102,7 +103,7 @@ def _split(x):
 
 @at_first_call
 def _rows(first, last, arrows, repulsion, coupling, attraction, minimum, alpha, truncation, energies, forces, fields):
-    """Sum twice the energy, and the forces, of given spheres with all others."""
+    """Write the forces and fields of given spheres, and twice their energies, as sums over all other spheres."""
     n = len(energies)
     for i in range(first, last):
         xi, yi, zi, ux, uy, uz = arrows[:, i]

@@ -1,4 +1,4 @@
-"""Loops over functions of OpenMM's C interface, which read the parameters of its objects one by one."""
+"""Loops that call functions of OpenMM's C interface, and thus read the parameters of its objects one by one."""
 
 from llvmlite import ir
 from numba import types
@@ -12,7 +12,7 @@ _WORD, _WHOLE = ir.IntType(64), ir.IntType(32)
 
 @intrinsic
 def _write(typing, function, source, n, count, targets):
-    """Call void function(source, n, *targets[:count]): all but n are addresses."""
+    """Call ``void function(source, n, *targets[:count])``, where all arguments except n are addresses."""
 
     def code(context, builder, signature, arguments):
         address, *others = arguments[:3]
@@ -29,7 +29,7 @@ def _write(typing, function, source, n, count, targets):
 
 @intrinsic
 def _value(typing, function, source, n):
-    """Return double function(source, n)."""
+    """Return the result of ``double function(source, n)``."""
 
     def code(context, builder, signature, arguments):
         kind = ir.FunctionType(ir.DoubleType(), [_WORD, _WHOLE])
@@ -41,14 +41,14 @@ def _value(typing, function, source, n):
 
 @at_first_call
 def values(function, source, out):
-    """Write double function(source, n) for all n."""
+    """Write the results of ``double function(source, n)`` for all n to `out`."""
     for n in range(len(out)):
         out[n] = _value(function, source, n)
 
 
 @at_first_call
 def rows(function, source, count, targets, whole, real, particles, numbers):
-    """Write the results of void function(source, n, *targets[:count]), in `whole` and `real`, into rows for all n."""
+    """Call ``void function(source, n, *targets[:count])`` for all n; copy its results `whole` and `real` to rows."""
     for n in range(len(particles)):
         _write(function, source, n, count, targets)
         particles[n] = whole
@@ -57,7 +57,7 @@ def rows(function, source, count, targets, whole, real, particles, numbers):
 
 @at_first_call
 def rows_of_arrays(function, element, array, source, count, targets, whole, particles, numbers):
-    """Do the same where the last target is an OpenMM_DoubleArray, with double element(array, k)."""
+    """Like `rows`, but read numbers by ``double element(array, k)`` from the last target, an OpenMM_DoubleArray."""
     for n in range(len(particles)):
         _write(function, source, n, count, targets)
         particles[n] = whole

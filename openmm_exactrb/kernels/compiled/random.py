@@ -15,7 +15,7 @@ _KEY_A, _KEY_B = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBB67AE8584CAA73B)
 
 @intrinsic
 def _high_product(typingctx, a, b):
-    """Return the upper word of the product of two words."""
+    """Return the upper 64 bits of the product of two 64-bit integers."""
 
     def generate(context, builder, signature, values):
         a, b = (builder.zext(value, ir.IntType(128)) for value in values)
@@ -26,7 +26,7 @@ def _high_product(typingctx, a, b):
 
 @compiled("i i i i F2")
 def uniforms(seed, step, stream, block, u):
-    """Write four numbers of the open interval (0, 1) for each body, (4, n), from its own block."""
+    """Write four random numbers in the open interval (0, 1) for each body, from its own counter, to u (4, n)."""
     for body in range(u.shape[1]):
         k0, k1 = np.uint64(seed), np.uint64(0)
         c0, c1, c2, c3 = np.uint64(body + 1), np.uint64(block), np.uint64(stream), np.uint64(step)

@@ -1,4 +1,4 @@
-"""The rotation of one body in a step, from its unit angular momentum, compiled: the formulas of `plain.exact`."""
+"""The rotation of one body in a step, from its unit angular momentum, by the formulas of `plain.exact`, compiled."""
 
 import math
 
@@ -8,13 +8,13 @@ from openmm_exactrb.mathematics.quaternions import TO_GRID
 
 # pi/2 in three parts, the first two of 33 bits.
 _P1, _P2, _P3 = 1.5707963267341256, 6.077100506303966e-11, 2.0222662487959506e-21
-# Adding and subtracting it rounds to an integer.
+# Adding and then subtracting this number rounds to an integer.
 _ROUNDING = 6755399441055744.0
 
 
 @inlined
 def cosine_and_sine(angle):
-    """Return cosine and sine, by their Taylor series after a reduction by multiples of pi/2."""
+    """Return the cosine and sine of an angle, by Taylor series after a reduction by multiples of pi/2."""
     turns = (angle * (2.0 / math.pi) + _ROUNDING) - _ROUNDING
     r = ((angle - turns * _P1) - turns * _P2) - turns * _P3
     u = r * r
@@ -42,7 +42,10 @@ def norm_defect(q0, q1, q2, q3):
 
 @inlined
 def rotate_short(y1, y2, y3, cn, dn, w, cn_less, dn_less, r, s, cosine, sine):
-    """Return the rotation of `rotate` minus one, and the change of y; `cn_less` is 1 - cn, `dn_less` is 1 - dn."""
+    """Return the rotation of `rotate` minus the identity, and the change of y.
+
+    `cn_less` is 1 - cn, and `dn_less` is 1 - dn.
+    """
     wy3, cd = w * y3, cn * dn
     rw2 = r * wy3 * wy3
     inverse = 1.0 / (cn * cn + rw2)
@@ -77,7 +80,7 @@ def versine(cosine, sine):
 def rotate(y1, y2, y3, f1, f2, unit, cn, dn, w, r, s, extra_re, extra_im, cosine, sine):
     """Apply the addition theorem to y = (f1 unit, f2 unit, y3) and assemble the rotation of the step.
 
-    `cosine` and `sine` are those of half the angle, to which half the argument of the twist is added.
+    `cosine` and `sine` belong to half the angle, to which half the argument of the twist is added.
     """
     wy3, cd = w * y3, cn * dn
     inverse = 1.0 / (cn * cn + r * wy3 * wy3)
@@ -98,7 +101,7 @@ def rotate(y1, y2, y3, f1, f2, unit, cn, dn, w, r, s, extra_re, extra_im, cosine
 
 @inlined
 def twisted(cosine, sine, re, im, extra_re, extra_im, across_re, across_im):
-    """Return cosine and sine of an angle plus half the argument of the product of three complex numbers, the twist."""
+    """Return cosine and sine of an angle plus half the argument of the twist, the product of three complex numbers."""
     re, im = re * extra_re - im * extra_im, re * extra_im + im * extra_re
     re, im = re * across_re - im * across_im, re * across_im + im * across_re
     half_cosine, half_sine = half_argument(re, im)
@@ -107,7 +110,7 @@ def twisted(cosine, sine, re, im, extra_re, extra_im, across_re, across_im):
 
 @inlined
 def half_argument(re, im):
-    """Return cosine and sine of half the argument of a complex number, between -pi/2 and pi/2."""
+    """Return the cosine and sine of half the argument of a complex number; the half is between -pi/2 and pi/2."""
     inverse = 1.0 / math.sqrt(re * re + im * im)
     larger = math.sqrt(0.5 + 0.5 * abs(re * inverse))
     smaller = 0.5 * abs(im * inverse) / larger
@@ -117,7 +120,7 @@ def half_argument(re, im):
 
 @inlined
 def turned(q0, q1, q2, q3, t0, t1, t2, t3):
-    """Return the product of two quaternions, of norm one."""
+    """Return the product of two unit quaternions, normalised."""
     p0, p1, p2, p3 = product(q0, q1, q2, q3, t0, t1, t2, t3)
     half_defect = 0.5 * (1.0 - (p0 * p0 + p1 * p1 + p2 * p2 + p3 * p3))
     return p0 + p0 * half_defect, p1 + p1 * half_defect, p2 + p2 * half_defect, p3 + p3 * half_defect
@@ -125,7 +128,7 @@ def turned(q0, q1, q2, q3, t0, t1, t2, t3):
 
 @inlined
 def norm_conserving(d1, d2, d3, x1, x2, x3, square_G):
-    """Return the change of x, corrected to conserve the norm."""
+    """Return the change of x, corrected to conserve the norm of x."""
     n1, n2, n3 = x1 + d1, x2 + d2, x3 + d3
     correction = (d1 * (x1 + n1) + d2 * (x2 + n2) + d3 * (x3 + n3)) * (0.5 / square_G)
     return d1 - n1 * correction, d2 - n2 * correction, d3 - n3 * correction
@@ -133,7 +136,7 @@ def norm_conserving(d1, d2, d3, x1, x2, x3, square_G):
 
 @inlined
 def keep_norm(n1, n2, n3, x1, x2, x3, G, square_G):
-    """Return G n with the norm of x, without a bias."""
+    """Return G n, corrected without bias to have the norm of x."""
     n1, n2, n3 = G * n1, G * n2, G * n3
     defect = (x1 - n1) * (x1 + n1) + (x2 - n2) * (x2 + n2) + (x3 - n3) * (x3 + n3)
     correction = defect * (0.5 / square_G)

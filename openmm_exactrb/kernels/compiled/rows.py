@@ -1,4 +1,4 @@
-"""Rows of the mesh in vector registers, as LLVM instructions: numba does not vectorise loops of ten iterations."""
+"""Operations on rows of the mesh as LLVM vector instructions: numba does not vectorise loops of ten iterations."""
 
 from llvmlite import ir
 from numba import types
@@ -6,7 +6,7 @@ from numba.extending import intrinsic
 
 __all__ = ["LANES"]  # numba's intrinsics have no signatures for documentation
 
-#: Numbers a vector register.
+#: Numbers per vector register.
 LANES = 4
 
 _ROW = ir.VectorType(ir.DoubleType(), LANES)
@@ -15,7 +15,7 @@ _FUSED = ("contract",)
 
 
 class _Code:
-    """Instructions for rows of `order` numbers, padded to full vectors."""
+    """Builder of instructions for rows of `order` numbers, padded to full vectors."""
 
     zero = ir.Constant(_ROW, [0.0] * LANES)
 
@@ -25,7 +25,7 @@ class _Code:
         self.width = LANES * self.vectors
 
     def pointer(self, kind, array, at=_FIRST):
-        """Return a pointer to an element of a flat array of this type."""
+        """Return a pointer to element `at` of a flat array of type `kind`."""
         return self.builder.gep(self.context.make_array(kind)(self.context, self.builder, array).data, [at])
 
     def after(self, pointer, n):
@@ -42,7 +42,7 @@ class _Code:
         self.builder.store(vector, self.place(pointer, n), align=8)
 
     def number(self, pointer, n):
-        """Load number n as a vector of equal numbers."""
+        """Load number n from a pointer, as a vector of equal numbers."""
         return self.spread(self.builder.load(self.after(pointer, n)))
 
     def spread(self, number):
@@ -84,7 +84,7 @@ def spline_rows(typingctx, C, t, scale, w, at, steps):
 
 @intrinsic
 def add_plane(typingctx, mesh, at, stride, w, a, b, c, steps):
-    """Add (a Y + b Y') Z + c Y Z', with splines w along y and z, to the rows of a plane, the first at mesh[at:]."""
+    """Add (a Y + b Y') Z + c Y Z', with splines w along y and z, to the rows of a plane, starting at mesh[at:]."""
     signature = types.void(mesh, at, stride, w, a, b, c, steps)
 
     def generate(context, builder, signature, values):
@@ -108,9 +108,9 @@ def add_plane(typingctx, mesh, at, stride, w, a, b, c, steps):
 
 @intrinsic
 def sum_plane(typingctx, phi, at, stride, w, a, sums, steps):
-    """Add the sums over y of a plane a of phi, the first of its rows at phi[at:], times splines w along x and y.
+    """Add sums over y of plane a of phi, which starts at phi[at:], times the splines w along x and y, to `sums`.
 
-    The six rows of sums are those of X Y, X' Y, X Y', X'' Y, X' Y' and X Y''.
+    The six rows of `sums` are for the products X Y, X' Y, X Y', X'' Y, X' Y' and X Y''.
     """
     signature = types.void(phi, at, stride, w, a, sums, steps)
 
@@ -138,7 +138,7 @@ def sum_plane(typingctx, phi, at, stride, w, a, sums, steps):
 
 @intrinsic
 def add_columns(typingctx, columns, at, stride, rows, numbers, first):
-    """Add 8 columns of 6 numbers, columns[at:], columns[at + stride:], ..., to the rows numbers[first:] of 8."""
+    """Add 8 columns of 6 numbers, which start at columns[at], to 8-number rows; numbers[first:] are the row indices."""
     signature = types.void(columns, at, stride, rows, numbers, first)
 
     def generate(context, builder, signature, values):

@@ -1,4 +1,4 @@
-"""Vectors of three numbers, tuples or rows of arrays, compiled."""
+"""Operations on vectors of three numbers, which are tuples or rows of arrays, compiled."""
 
 from openmm_exactrb.kernels.build import inlined
 
@@ -29,5 +29,5 @@ def scaled(f, u):
 
 @inlined
 def difference(x, i, j):
-    """Return the difference of two rows of x."""
+    """Return row i of x minus row j."""
     return x[i, 0] - x[j, 0], x[i, 1] - x[j, 1], x[i, 2] - x[j, 2]

@@ -1,1 +1,1 @@
-"""The kernels in numpy."""
+"""The kernels that are written in numpy."""

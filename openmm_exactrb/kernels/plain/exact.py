@@ -1,23 +1,24 @@
-"""The exact flow of the free rigid body in numpy, any number of bodies at once.
+"""The exact flow of the free rigid body in numpy, for any number of bodies at once.
 
 Euler's equations are solved without a phase and without an inverse function: the addition theorem of Jacobi's
 functions carries the momentum itself from 0 to h. The orientation follows from one incremental integral of the
 third kind and the argument of a complex number.
 
-With inertia I1 <= I2 <= I3, x = m/G, G = norm(m), time s = b G t and
+With moments of inertia I1 <= I2 <= I3, x = m/G, G = norm(m), time s = b G t and
 
     b = (I3 - I1)/(I1 I3),  rho = I3 (I2 - I1)/(I2 (I3 - I1)),  sigma = 1 - rho = I1 (I3 - I2)/(I2 (I3 - I1)),
 
 Euler's equations read x1' = -sigma x2 x3, x2' = x3 x1, x3' = -rho x1 x2. They are invariant under the exchange of axes
-1 and 3 and of rho and sigma, so one formula serves both families of orbits: y = (x_l, x2, x_j), where j is the axis
-that the momentum circles, 3 if S = rho x1² - sigma x3² < 0 and 1 otherwise (S = 0 is the separatrix), and (r, s) =
-(sigma, rho) or (rho, sigma). A rotation by pi about axis 2 makes y3 >= 0.
+1 and 3 together with rho and sigma, so one formula serves both families of orbits. It is written in y = (x_l, x2, x_j),
+where j is the axis that the momentum circles: 3 if S = rho x1² - sigma x3² < 0, and 1 otherwise (S = 0 is the
+separatrix). Then (r, s) is (sigma, rho) for j = 3, and (rho, sigma) for j = 1. A rotation by pi about axis 2 ensures
+that y3 >= 0.
 
 Exchanging two axes mirrors the body, so angles change sign if j = 1.
 
-For a short step the changes of orientation and momentum are computed, with an error in proportion to them. Orientations
-and momenta may be double-doubles (`openmm_exactrb.mathematics.compensated`), to which the changes are added; a run then
-has no other roundoff.
+For a short step, the changes of orientation and momentum are computed, with errors proportional to these changes.
+Orientations and momenta may be double-doubles (`openmm_exactrb.mathematics.compensated`), to which the changes are
+added; a run then has no roundoff other than these errors.
 """
 
 from __future__ import annotations
@@ -30,21 +31,21 @@ from openmm_exactrb.mathematics.elliptic import jacobi, sine_short, third_kind, 
 from openmm_exactrb.mathematics.quaternions import Numbers, multiply, norm_defect, renormalise
 from openmm_exactrb.support.types import Array
 
-#: Up to this b G h the series of `_short` are exact to roundoff.
+#: The largest b G h for which the series of `_short` are exact to roundoff.
 SHORT = 0.3
-#: Where the squares of a momentum are safe from over- and underflow.
+#: The range of momenta whose squares neither overflow nor underflow.
 SAFE = (1e-70, 1e70)
-#: Where the eighth powers of the components of a unit vector vanish.
+#: The size of components of a unit vector below which their eighth powers vanish.
 VANISHING = 1e-36
-#: Less than the error of double-double, relative to the terms of S, is zero: the momentum was put on the separatrix.
+#: The error of double-doubles relative to the terms of S: if S is smaller, the momentum is on the separatrix.
 ON_SEPARATRIX = 1e-30
 
 
 def advance(body: Array, q: Array, m: Array, t: Array, q1: Array, m1: Array) -> None:
-    """Advance bodies by t (1,) or (N,) into q1 and m1, in ascending principal axes.
+    """Write the orientations q1 and momenta m1 of bodies after t (1,) or (N,), in axes of ascending principal moments.
 
-    `body` (7, 1) or (7, N) is what `openmm_exactrb.rotors.exact.constants` returns; q and m are double-doubles
-    (2, 4, N) and (2, 3, N), or plain numbers (1, 4, N) and (1, 3, N).
+    `body` (7, 1) or (7, N) is a result of `openmm_exactrb.rotors.exact.constants`; q and m are double-doubles (2, 4, N)
+    and (2, 3, N), or plain numbers (1, 4, N) and (1, 3, N).
     """
     t = np.broadcast_to(t, m.shape[2:])
     G = np.sqrt(np.einsum("in,in->n", m[0], m[0]))
@@ -75,9 +76,9 @@ def _step_long(body: Array, q: Array, m: Array, G: Array, t: Array) -> tuple[Arr
 
 
 def _short(body: Array, m: Array, G: Array, t: Array) -> tuple[Array, Array]:
-    """Return the rotation minus one and the change of the momentum for b G h <= 0.3.
+    """Return the rotation minus the identity, and the change of the momentum, for b G h <= 0.3.
 
-    Series replace elliptic functions, and the form for j = 3 serves both families.
+    Series replace elliptic functions, and the formula for j = 3 serves both families of orbits.
     """
     b, rho, sigma, inverse_I3 = body[:4]
     flip = np.copysign(1.0, m[2])
@@ -101,7 +102,7 @@ def _short(body: Array, m: Array, G: Array, t: Array) -> tuple[Array, Array]:
 
 
 def _long(body: Array, m: Array, _: Array, t: Array) -> tuple[Array, Array]:
-    """Return a step of any length, from any momentum."""
+    """Return the rotation and the new momentum of a step of any length, from any momentum."""
     b, rho, sigma, inverse_I3 = body[:4]
     exponent = np.frexp(np.abs(m).max(axis=0))[1]
     m = np.ldexp(m, -exponent)
@@ -145,7 +146,10 @@ def _long(body: Array, m: Array, _: Array, t: Array) -> tuple[Array, Array]:
 def _rotate_short(
     y: Array, cn: Array, dn: Array, w: Array, cn_less: Array, dn_less: Array, r: Array, s: Array, angle: Array
 ) -> tuple[Array, Array]:
-    """Return the rotation of `_rotate` minus one, and the change of y; `cn_less` is 1 - cn, `dn_less` is 1 - dn."""
+    """Return the rotation of `_rotate` minus the identity, and the change of y.
+
+    `cn_less` is 1 - cn, and `dn_less` is 1 - dn.
+    """
     y1, y2, y3 = y
     wy3, cd = w * y3, cn * dn
     rw2 = r * wy3 * wy3
@@ -184,7 +188,7 @@ def _versine(cosine: Array, sine: Array) -> Array:
 def _rotate(
     y: Array, cn: Array, dn: Array, w: Array, r: Array, s: Array, angle: Array, extra: NDArray[np.complex128]
 ) -> tuple[Array, Array]:
-    """Apply the addition theorem to y and assemble the rotation of the step, around the frame y.
+    """Apply the addition theorem to y, and return the rotation of the step and the new y.
 
     With xi = y1 + i y2 and a = 1 + y3, p = (a, y2, -y1, 0)/sqrt(2a) is the smallest rotation from y to e3, and
     the step is conj(p(0)) (cos psi, 0, 0, sin psi) p(h).
@@ -216,7 +220,7 @@ def _rotate(
 
 
 def _rescaled(y1: Array, y2: Array) -> tuple[Array, Array, Array | float]:
-    """Return (y1, y2)/unit and unit, a power of two if fourth powers would underflow; (0, 1) and 0 if both are zero."""
+    """Return (y1, y2)/unit and unit: 1, or a power of two if fourth powers would underflow; (0, 1) and 0 for zeros."""
     size = np.maximum(np.abs(y1), np.abs(y2))
     vanishing = size < VANISHING
     if not vanishing.any():
@@ -235,14 +239,14 @@ def _complex(real: Array, imag: Array) -> NDArray[np.complex128]:
 
 
 def _norm_conserving(change: Array, m: Array, G: Array) -> Array:
-    """Return the change of m, corrected to conserve the norm."""
+    """Return the change of m, corrected to conserve the norm of m."""
     m1 = m + change
     change -= m1 * (np.einsum("in,in->n", change, m + m1) * (0.5 / (G * G)))
     return change
 
 
 def separatrix_difference(I1: Numbers, I2: Numbers, I3: Numbers, m1: Numbers, m3: Numbers) -> tuple[Numbers, Numbers]:
-    """Return d = I3 (I2 - I1) m1² - I1 (I3 - I2) m3², which vanishes on the separatrix, and the sum of its two terms.
+    """Return d = I3 (I2 - I1) m1² - I1 (I3 - I2) m3², which vanishes on the separatrix, and the sum of both terms.
 
     The difference is computed in double-double, because near the separatrix a double would lose all of its digits.
     """

@@ -1,4 +1,4 @@
-"""The division of flexible molecules into blocks of threads."""
+"""The division of flexible molecules into blocks, each of which one block of threads processes."""
 
 from __future__ import annotations
 
@@ -10,22 +10,23 @@ import numpy as np
 
 from openmm_exactrb.support.types import Array, Indices
 
-#: Costs of a block: places of terms, and of atoms so many. A protein has about 30 places of terms an atom.
+#: The cost of a block is the number of memberships of its atoms in terms, about 30 per atom in a protein, plus this
+#: number for each atom.
 COST_OF_ATOM = 8
-#: Molecules up to the second one are left whole, larger ones are divided into blocks of about the first one.
+#: Molecules of at most the second cost are not divided; larger ones are divided into blocks of about the first cost.
 COST_OF_BLOCK, COST_OF_MOLECULE = 1200, 3200
 
 
 class Group(NamedTuple):
-    """Clusters with the same constraint graph; that of single atoms is empty.
+    """Clusters with the same constraint graph, which is empty for single atoms.
 
     Attributes
     ----------
     particles : (N, n) array
     pairs : (m, 2) array
-        The members of each constraint.
+        The two members of the cluster that each constraint connects.
     lengths : (m,) array
-        In nm.
+        Lengths of the constraints in nm.
     """
 
     particles: Indices
@@ -41,22 +42,22 @@ class Group(NamedTuple):
 
 @dataclass(frozen=True)
 class Blocks:
-    """Atoms ordered by block, and within a block by cluster.
+    """The atoms of flexible molecules, ordered by block, and within a block by cluster.
 
     Attributes
     ----------
     particles : (n,) array
-        The particle of each atom.
+        The index in the System of each atom.
     atom_of : (n_particles,) array
-        The atom of each particle; -1 for particles of other molecules.
+        The index among these atoms of each particle of the System; -1 for particles of other molecules.
     block_of : (n,) array
-        The block of each atom.
+        The index of the block of each atom.
     starts, sizes : (c,) arrays
-        First atom and number of atoms of each cluster.
+        The first atom and the number of atoms of each cluster.
     groups : list of (Group, (N,) array)
-        Clusters of a graph, and their indices.
+        The clusters with each graph, and their indices in the order of the blocks.
     first_cluster, first_atom : (b + 1,) arrays
-        First cluster and first atom of each block.
+        The first cluster and the first atom of each block; the last entry is the total number.
     """
 
     particles: Indices
@@ -74,7 +75,7 @@ class Blocks:
 
 
 def blocks_of(groups: Sequence[Group], terms: Sequence[Indices], n_particles: int) -> Blocks:
-    """Divide clusters into blocks of about equal cost, so that few terms (., k) cross their borders."""
+    """Divide clusters into blocks of similar cost, such that few terms (., k) involve more than one block."""
     count = sum(len(group.particles) for group in groups)
     cluster_of, sizes, smallest = np.full(n_particles, -1), np.zeros(count, int), np.zeros(count, int)
     number: list[Indices] = []
@@ -108,13 +109,13 @@ def blocks_of(groups: Sequence[Group], terms: Sequence[Indices], n_particles: in
 
 
 def _costs(members: Sequence[Indices], sizes: Indices) -> Indices:
-    """Return the cost of each cluster."""
+    """Return the cost of each cluster: its number of memberships in terms, plus `COST_OF_ATOM` for each atom."""
     places = np.concatenate([np.zeros(0, int), *(of_kind.ravel() for of_kind in members)])
     return np.asarray(COST_OF_ATOM * sizes + np.bincount(places, minlength=len(sizes)))
 
 
 def _molecules(members: Sequence[Indices], count: int) -> Indices:
-    """Return the molecule of each cluster, as connected by terms."""
+    """Return the index of the molecule of each cluster; the clusters of a molecule are connected by terms."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -125,15 +126,15 @@ def _molecules(members: Sequence[Indices], count: int) -> Indices:
 
 
 def _divided(cost: Indices, molecule: Indices, smallest: Indices) -> Indices:
-    """Return the block of each cluster; a block contains whole molecules, or part of a large one.
+    """Return the index of the block of each cluster; a block contains whole molecules, or a part of a large one.
 
-    Clusters of a molecule are in the order of their particles, which follows the chain of a protein.
+    A molecule is divided in the order of its particles, which in a protein follows the chain.
     """
     total = np.bincount(molecule, cost).astype(int)
     large = total > COST_OF_MOLECULE
     first = np.full(len(total), smallest.max(initial=0))
     np.minimum.at(first, molecule, smallest)
-    before = np.zeros(len(total), int)  # cost of small molecules in front of each
+    before = np.zeros(len(total), int)  # total cost of the small molecules that precede each one
     by_place = np.argsort(first)
     small = by_place[~large[by_place]]
     before[small] = np.cumsum(total[small]) - total[small]

@@ -1,4 +1,4 @@
-"""The clusters of flexible molecules as tables of the kernel, and its text for their graphs."""
+"""Tables of the clusters of flexible molecules for the kernel, and its source text for their constraint graphs."""
 
 from __future__ import annotations
 
@@ -9,16 +9,17 @@ from numpy.typing import NDArray
 
 from openmm_exactrb.engines.device.flexible.blocks import Blocks, Group
 
-#: Other atoms of a star that the kernel has in private memory; atoms of a cluster of any graph.
+#: The largest number of outer atoms of a star in private memory, and of atoms of a cluster with any other graph.
 RAYS, LARGEST = 4, 32
-#: Orders of the multipliers that a drift may take, and the part of it below which it is not halved, as on the host.
+#: The largest number of orders of the multipliers, the relative size of terms at which a series ends, and the part of a
+#: drift that is not halved further; see `openmm_exactrb.kernels.compiled.clusters`.
 ORDERS, SETTLED, SHORTEST = 20, 1e-16, 0.5**12
-# Numbers of a cluster of any graph with m constraints besides ORDERS: see graph.cl.
+# Numbers of workspace per constraint of a cluster with any graph; see graph.cl.
 _VECTORS = 4 * ORDERS + 6 + 10
 
 
 def arrays(blocks: Blocks) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """Return the kernel's arrays of clusters, and its constants."""
+    """Return the kernel's arrays of clusters by name, and the constants with which the kernel is compiled."""
     n, graphs, constraints = len(blocks.particles), 0, 0
     table = np.stack([blocks.starts, blocks.sizes, *np.full((3, len(blocks.starts)), -1)], axis=1)
     of_stars, ends = np.zeros(n), [np.zeros((0, 2), int)]
@@ -56,12 +57,12 @@ def arrays(blocks: Blocks) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
 
 
 def is_star(group: Group) -> bool:
-    """Return whether the kernel holds a cluster in private memory."""
+    """Return whether clusters are stars of at most `RAYS` + 1 atoms, which the kernel stores in private memory."""
     return group.star and group.particles.shape[1] <= RAYS + 1
 
 
 def files(blocks: Blocks) -> tuple[str, ...]:
-    """Return the files of the functions that move clusters."""
+    """Return the names of the kernel files that contain the functions for moving these clusters."""
     stars = max((group.particles.shape[1] for group, _ in blocks.groups if is_star(group)), default=1)
     any_graph = not all(is_star(group) for group, _ in blocks.groups)
     return ("star.cl", "constraints.cl") * (stars - 1) + ("graph.cl", "constraints.cl") * any_graph

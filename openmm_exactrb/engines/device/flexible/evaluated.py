@@ -1,4 +1,4 @@
-"""Inner steps whose fast forces OpenMM evaluates because there is no kernel: they become part of the scheme."""
+"""Inner steps as part of the scheme, with fast forces that OpenMM evaluates because no kernel supports them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _ALL = 0xFFFFFFFF
 
 @dataclass(frozen=True)
 class GroupsKick(Substep):
-    """A kick by the forces of given groups (bits)."""
+    """A kick by the forces of several force groups, given as bits."""
 
     groups: int
 
@@ -28,12 +28,12 @@ class GroupsKick(Substep):
     additive: ClassVar[bool] = True
 
     def device_moves(self, part: float) -> tuple[Move, ...]:
-        """Return the kick."""
+        """Return the move of the kick."""
         return (Move(Op.KICK, part, groups=self.groups),)
 
 
 class Evaluated(NamedTuple):
-    """Fast force groups (bits) that OpenMM evaluates in inner steps, because the kernels do not support `what`."""
+    """Fast force groups (bits) that OpenMM evaluates in inner steps, because no kernel supports `what`."""
 
     groups: int
     inner: InnerSteps
@@ -41,12 +41,12 @@ class Evaluated(NamedTuple):
 
     @property
     def slow(self) -> int:
-        """The other force groups (bits)."""
+        """The force groups that are not fast (bits)."""
         return _ALL & ~self.groups
 
     @property
     def warning(self) -> str:
-        """The warning for the user."""
+        """The message of the warning that OpenMM evaluates the fast forces."""
         groups = ", ".join(str(group) for group in range(32) if self.groups >> group & 1)
         return (
             f"the device has no kernel for {self.what}: OpenMM evaluates all forces of the fast groups ({groups}) at "
@@ -54,15 +54,16 @@ class Evaluated(NamedTuple):
         )
 
     def within(self, scheme: Scheme) -> Scheme:
-        """Return a scheme of all bodies with the inner steps in its drifts."""
+        """Return the scheme with its drifts replaced by inner steps of all bodies."""
         rows = (self.rows(some) for some in (scheme.sequence, scheme.processor, scheme.output))
         sequence, processor, output = rows
         return replace(scheme, sequence=sequence, processor=processor, output=output)
 
     def rows(self, sequence: Sequence) -> Sequence:
-        """Return the rows of a sequence: for each kick, one by the fast forces and one by the slow forces.
+        """Return the rows of a sequence with inner steps and with separate kicks by the fast and the slow forces.
 
-        At the start of the sequence the slow kick comes first, because the sequence may have ended with one.
+        Where a fast and a slow kick meet, the fast kick comes first. At the start of the sequence the slow kick comes
+        first, because the previous step may have ended with a slow kick.
         """
         places = itertools.groupby(self._each(sequence), lambda row: isinstance(row[0], GroupsKick))
         rows: list[tuple[Substep, float]] = []

@@ -1,4 +1,4 @@
-"""The moves of bodies with inner steps: the drifts of a scheme, including the fast forces."""
+"""The moves of bodies with inner steps: drifts of a scheme that include the fast forces."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ Moves = tuple[Move, ...]
 
 @dataclass(frozen=True)
 class InnerSteps:
-    """An inner scheme, and the number of its steps in a drift over a fraction of a step."""
+    """The sequence of an inner step, and the number of inner steps in a drift over a fraction of the outer step."""
 
     sequence: Sequence
     repetitions: Callable[[float], int]
 
     def within(self, drift: Move) -> Moves:
-        """Return the moves of a drift."""
+        """Return the moves of the inner steps that form a drift."""
         n = self.repetitions(drift.part)
         ops = ((Op.FAST_KICK if substep == KICK else Op.DRIFT, part) for substep, part in repeated(self.sequence, n))
         return tuple(Move(op, part * drift.part / n, late=drift.late) for op, part in ops)
 
     def evaluations(self, part: float) -> int:
-        """Return the number of evaluations of fast forces in a drift; neighbouring drifts share those at its ends."""
+        """Return the number of evaluations of fast forces in a drift; successive drifts share one evaluation."""
         kicks = [substep == KICK for substep, _ in repeated(self.sequence, self.repetitions(part))]
         return sum(kicks) - (kicks[0] and kicks[-1])
 
@@ -35,8 +35,8 @@ class InnerSteps:
 def moves_of(segment: Segment, inner: InnerSteps | None) -> Moves:
     """Return the moves of a segment for flexible molecules.
 
-    If the next segment begins with a kick, it also needs the fast forces at the end of this drift: a kick that a
-    segment `leaves` is due in the next one.
+    If a segment `leaves` the last fast kick of its last drift, this kick is due in the next segment, which needs the
+    fast forces at the same positions anyway.
     """
     moves = [move for move in segment.moves if move.op != Op.DRIFT or move.bodies != "others"]
     if inner is None:
@@ -51,7 +51,7 @@ def moves_of(segment: Segment, inner: InnerSteps | None) -> Moves:
 
 
 def up_to_drifts(moves: Moves) -> list[Moves]:
-    """Return moves in parts, all of which except the last end with a drift."""
+    """Divide moves into parts, each of which, except possibly the last, ends with a drift."""
     ends = [place + 1 for place, move in enumerate(moves) if move.op == Op.DRIFT]
     parts = [moves[begin:end] for begin, end in zip([0, *ends], [*ends, len(moves)], strict=True)]
     return [part for part in parts if part]

@@ -1,4 +1,4 @@
-"""The composition of flexible molecules in a Context, and the check that the kernels support them."""
+"""The flexible molecules of a Context, and the check that the kernels support them."""
 
 from __future__ import annotations
 
@@ -25,33 +25,33 @@ from openmm_exactrb.multiple_time_steps.fast_forces import FastForces, fast_forc
 from openmm_exactrb.openmm_access import arrays, parameters
 from openmm_exactrb.support.types import Array, Indices
 
-#: The most bonded terms of a particle, for whose partners a block has room in local memory.
+#: The largest number of bonded terms of a particle: a block stores their other particles in local memory.
 MOST_TERMS = 400
 
 
 class NotServedError(Exception):
-    """The kernels do not support some molecules or forces; the message names them and the remedy."""
+    """Raised if the kernels do not support some molecules or forces; the message names these and states the remedy."""
 
 
 @dataclass(frozen=True)
 class Molecules:
-    """The composition of flexible molecules.
+    """The flexible molecules of a System: clusters, masses, bodies and fast forces.
 
     Attributes
     ----------
     groups : sequence of Group
-        Their clusters, including single atoms and massless atoms.
+        The clusters of the molecules; single atoms and massless atoms count as clusters of one atom.
     masses : (n_particles,) array
         Masses of all particles of the System.
     body_of : (n_particles,) array
-        The body of each particle; -1 for none.
+        The index of the body of each particle; -1 for particles of no body.
     terms : Terms
-        Their fast forces, as terms of particles of the System.
+        The fast forces of the molecules, with the particle indices of the System.
     inner : InnerSteps or None
-        None without fast forces.
+        The inner steps, or None if there are no fast forces.
     late : bool
         Whether the drifts between the last heat exchange and the end of a step are performed at the start of the next
-        one.
+        step.
     """
 
     groups: Sequence[Group]
@@ -63,7 +63,7 @@ class Molecules:
 
 
 class Served(NamedTuple):
-    """The flexible molecules supported by kernels, and the fast forces that OpenMM evaluates in inner steps."""
+    """The flexible molecules that kernels support, and the fast forces that OpenMM evaluates in inner steps."""
 
     molecules: Molecules | None
     evaluated: Evaluated | None = None
@@ -75,9 +75,9 @@ class Found(NamedTuple):
     Attributes
     ----------
     bodies : RigidBodies
-        With flexible molecules, two particles with a constraint between them form a cluster.
+        The bodies of the device. If there are flexible molecules, a constrained pair of particles is a cluster.
     whole : RigidBodies
-        The bodies of the host, for which such a pair is a linear body.
+        The bodies of the host, where a constrained pair of particles is a linear body.
     fast : FastForces or None
     """
 
@@ -102,20 +102,21 @@ def found(context: Any, settings: Any) -> Found:
 
 
 def served(system: openmm.System, bodies: RigidBodies, fast: FastForces | None, settings: Any) -> Served:
-    """Return the molecules with constraints or fast forces, and the fast forces without a kernel.
+    """Return the flexible molecules that kernels support, and the fast forces that OpenMM must evaluate.
 
     Parameters
     ----------
     system : openmm.System
     bodies : RigidBodies
     fast : FastForces or None
-        Both as `found` returns them.
+        The fast forces, which `found` returns together with the bodies.
     settings : Settings
 
     Raises
     ------
     NotServedError
-        If a cluster is too large, or bonded forces are of other kinds, or act on rigid bodies.
+        If a cluster is too large, if a particle has too many bonded terms, or if no kernel supports the fast forces and
+        `fast` does not name their force groups.
     """
     _require_small_clusters(bodies)
     scheme, h = settings.splitting, settings.h
@@ -154,7 +155,7 @@ def _require_small_clusters(bodies: RigidBodies) -> None:
 
 
 def _require_room(terms: Terms) -> None:
-    """Raise NotServedError if the terms of a particle involve more particles than a block can hold."""
+    """Raise NotServedError if a particle is in more than `MOST_TERMS` bonded terms."""
     count = np.bincount(np.concatenate([of_kind.ravel() for of_kind in particles(terms)]), minlength=1)
     if count.max() > MOST_TERMS:
         raise NotServedError(
@@ -166,7 +167,7 @@ def _require_room(terms: Terms) -> None:
 def _without_kernel(
     system: openmm.System, bodies: RigidBodies, fast: FastForces, excerpt: Excerpt | None
 ) -> str | None:
-    """Return the fast forces without a kernel, or None."""
+    """Return a description of the fast forces that no kernel supports, or None."""
     for force in acting(system):
         if groups_of(force) & set(fast.named) and not isinstance(force, BONDED_FORCES):
             return f"the fast force {force.getName()}"

@@ -22,7 +22,7 @@ from openmm_exactrb.support.types import Array, Indices
 
 #: Threads of a block of atoms.
 THREADS = 64
-# Bits of what a launch does besides its moves, as in kernels/layout.cl.
+# Bits for the actions of a launch in addition to its moves, as in kernels/layout.cl.
 _MOVES, _PLACES, _PROJECTS, _SHOWS = 1, 2, 4, 8
 _CONTEXT = ("posq", "posqCorrection", "velm", "force", "places", "box")
 _ATOMS = ("atoms", "bodies", "inverse")
@@ -36,9 +36,9 @@ class Flexible(NamedTuple):
     ----------
     molecules : Molecules
     particles : (n_particles, 3) array
-        Up-to-date positions of all particles, of which the massless ones are used.
+        Current positions of all particles, which are used for massless particles only.
     precision : type
-        Precision of fast forces: np.float32 or np.float64.
+        Floating-point type of the fast forces: np.float32 or np.float64.
     """
 
     molecules: Molecules
@@ -47,7 +47,7 @@ class Flexible(NamedTuple):
 
 
 class FlexiblePart:
-    """The part of flexible molecules in a program; all arguments except the last are those of `Flexible`."""
+    """The part of a program for flexible molecules; all arguments except `demands` are the fields of `Flexible`."""
 
     def __init__(
         self, molecules: Molecules, particles: Array, precision: type[np.floating[Any]], demands: Demands
@@ -81,7 +81,7 @@ class FlexiblePart:
     # -- declarations and launches ---------------------------------------------------------------------------------
 
     def declare(self, to: Program) -> None:
-        """Declare tables, the state, and stored forces."""
+        """Declare the arrays of the tables, of the state and of stored forces."""
         for name, values in self.tables().items():
             to.array(name, values.size, element=values.itemsize)
         for copied in (False, True)[: 1 + self._demands.copied]:
@@ -93,7 +93,7 @@ class FlexiblePart:
         to.array("flexible_kinetic", 3 * GROUPS)
 
     def launches(self, segment: Segment, table: Table) -> list[Operation]:
-        """Return the launches of a segment: one, or one for each drift if blocks share terms."""
+        """Return the launches of a segment: a single launch, or one for each drift if blocks share terms."""
         moves = moves_of(segment, self._inner)
         x, v = self.state(segment.copied)
         parts = (self._open and up_to_drifts(moves)) or [moves]
@@ -113,7 +113,7 @@ class FlexiblePart:
 
     @staticmethod
     def _next(here: str, x: str, last: bool) -> str:
-        """Return the array for positions after a drift from those in another array."""
+        """Return the name of the array for the positions after a drift from the positions in array `here`."""
         if last and here != x:
             return x
         return "flexible_z" if here == "flexible_y" else "flexible_y"
@@ -128,7 +128,7 @@ class FlexiblePart:
         return Launch(self._source, "inner_steps", THREADS * len(self.blocks), arguments, THREADS)
 
     def reductions(self, copied: bool, adds: bool) -> list[Operation]:
-        """Return the operations that write the kinetic energy along the constraints to "totals", or add it."""
+        """Return operations that project velocities and write the kinetic energy to "totals" or, if `adds`, add it."""
         x, v = self.state(copied)
         threads, sums = min(self.n, BLOCK * GROUPS), "flexible_kinetic"
         kinetic = Launch(self._source, "flexible_kinetic", threads, ("flexible_inverse", x, v, sums), BLOCK)
@@ -136,12 +136,12 @@ class FlexiblePart:
         return [self._launch((0, 0), _PROJECTS, (x, x, v)), kinetic, total]
 
     def pushed(self, copied: bool, to_copy: bool) -> list[Operation]:
-        """Return the operations that add changes of shown velocities to those of that or the other state."""
+        """Return operations that add the change of the Context's velocities since state(copied) to state(to_copy)."""
         states = self.state(copied)[1], self.state(to_copy)[1]
         return [Launch(self._source, "flexible_pushed", self.n, ("velm", "places", "flexible_atoms", *states))]
 
     def moved(self, copied: bool) -> list[Operation]:
-        """Return the operations that read changed positions."""
+        """Return the operations that read positions changed by OpenMM."""
         arguments = "posq", "posqCorrection", "places", "box", "flexible_atoms", self.state(copied)[0]
         return [Launch(self._source, "flexible_moved", self.n, arguments)]
 
@@ -160,7 +160,7 @@ class FlexiblePart:
         }
 
     def write(self, device: Device, state: BodyState, copied: bool = False) -> None:
-        """Write the state of all bodies, and the positions of massless particles, to the device."""
+        """Write the part of a state for these bodies, and the positions of massless particles, to the device."""
         massive = self._mass > 0.0
         x, v = self._particles[self.blocks.particles], np.zeros((self.n, 3))
         x[massive] = state.R[:, self.columns[massive]].T
@@ -169,23 +169,23 @@ class FlexiblePart:
             device.upload(name, values)
 
     def read(self, device: Device, out: BodyState, copied: bool = False) -> None:
-        """Read the state of these bodies into that of all bodies."""
+        """Read the state of these bodies from the device into `out`, the state of all bodies."""
         massive = self._mass > 0.0
         x, v = (device.download(name, np.empty((self.n, 3)))[massive] for name in self.state(copied))
         out.R[:, self.columns[massive]] = x.T
         out.P[:, self.columns[massive]] = (v * self._mass[massive, None]).T
 
     def flag(self, device: Device, flexible: NDArray[np.bool_]) -> None:
-        """Write the flags (N,) of bodies in flexible molecules, which exclude isolated pairs of atoms."""
+        """Write the flags (N,) of bodies in flexible molecules, but not of isolated pairs of atoms, to the device."""
         device.upload("flexible_bodies", self._bodies(flexible[self.columns] & (self.columns >= 0)))
 
     def _bodies(self, flexible: NDArray[np.bool_]) -> NDArray[np.int32]:
-        """Return the body of each atom, and whether it is in a flexible molecule."""
+        """Return the index of the body of each atom, and whether the atom is in a flexible molecule (2, n)."""
         return np.stack([self.columns, flexible]).astype(np.int32)
 
     @property
     def bodies(self) -> Indices:
-        """The indices of these bodies among all."""
+        """The sorted indices of these bodies among all bodies."""
         return np.sort(self.columns[self.columns >= 0])
 
 

@@ -1,4 +1,4 @@
-"""The tables of the kernel: blocks, their atoms and clusters, and the terms that involve them."""
+"""Tables for the kernel: blocks, their atoms and clusters, and the terms that involve these atoms."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from openmm_exactrb.support.types import Array, Indices
 
 #: Kinds of terms in the order of the kernel's tables.
 KINDS = ("bonds", "angles", "torsions", "pairs", "impropers", "maps")
-#: Those whose numbers are double whatever the precision is.
+#: Kinds whose numbers are always in double precision.
 EXACT = ("pairs", "maps")
 
 
 class Kind(NamedTuple):
-    """Terms of a kind: `particles` (T, k), further integers (j, T) for the kernel, and numbers."""
+    """The T terms of a kind: `particles` (T, k), further integers `others` (j, T) for the kernel, and `numbers`."""
 
     particles: Indices
     others: Indices
@@ -26,7 +26,7 @@ class Kind(NamedTuple):
 
 
 class Copies(NamedTuple):
-    """Terms of a kind, once for each block that they involve: indices (C,), blocks (C,) and atoms (C, k)."""
+    """Copies of terms, one for each block that a term involves: `terms` (C,), `block` (C,) and `atoms` (C, k)."""
 
     terms: Indices
     block: Indices
@@ -34,14 +34,14 @@ class Copies(NamedTuple):
 
 
 class Local(NamedTuple):
-    """The atoms (p,) stored by blocks, each block's own first, and the start of each block (b + 1,)."""
+    """The atoms (p,) that each block reads, its own atoms first, and the start of each block's atoms (b + 1,)."""
 
     atoms: Indices
     first: Indices
 
 
 def kinds_of(terms: Terms, precision: type[np.floating[Any]]) -> dict[str, Kind]:
-    """Return the terms of the host's kernel, with the numbers of the device's kernel."""
+    """Convert the terms of the host's kernel to kinds by name, with the numbers that the device's kernel needs."""
     length, strength = terms.of_bonds
     square = length * length
     near = square.astype(precision).astype(np.float64)
@@ -61,18 +61,18 @@ def kinds_of(terms: Terms, precision: type[np.floating[Any]]) -> dict[str, Kind]
 
 
 def particles(terms: Terms) -> list[Indices]:
-    """Return the particles of terms of each kind."""
+    """Return the particles (T, k) of the terms of each kind."""
     return [terms.bonds, terms.angles, terms.torsions, terms.pairs, terms.impropers, terms.maps[:, :8]]
 
 
 def _distinct(keys: Indices) -> Indices:
-    """Return the sorted distinct keys, faster than np.unique, which hashes them."""
+    """Return the distinct keys in ascending order; np.unique, which hashes the keys, is slower."""
     keys = np.sort(keys)
     return np.asarray(keys[np.append(True, keys[1:] != keys[:-1])[: len(keys)]])
 
 
 def copies(particles: Indices, blocks: Blocks) -> Copies:
-    """Return terms of particles (T, k) by block, each once in every block that it involves."""
+    """Return copies of terms of particles (T, k), ordered by block: one copy for each block that a term involves."""
     atoms = blocks.atom_of[particles]
     block, number, count = blocks.block_of[atoms], np.arange(len(atoms)), max(len(atoms), 1)
     crosses = (block != block[:, :1]).any(axis=1)
@@ -82,7 +82,7 @@ def copies(particles: Indices, blocks: Blocks) -> Copies:
 
 
 def local(blocks: Blocks, found: list[Copies]) -> Local:
-    """Return the atoms that each block reads: its own, and those of other blocks in its terms."""
+    """Return the atoms that each block reads: its own atoms, and atoms of other blocks that its terms involve."""
     n = len(blocks.particles)
     keys = [np.zeros(0, int)]
     for of_kind in found:
@@ -90,13 +90,13 @@ def local(blocks: Blocks, found: list[Copies]) -> Local:
         keys.append((of_kind.block[:, None] * n + of_kind.atoms)[foreign])
     partners = _distinct(np.concatenate(keys))
     block = np.concatenate([blocks.block_of, partners // n])
-    order = np.argsort(block, kind="stable")  # own atoms stay in front
+    order = np.argsort(block, kind="stable")  # a block's own atoms stay first
     atoms = np.concatenate([np.arange(n), partners % n])[order]
     return Local(atoms, np.searchsorted(block[order], np.arange(len(blocks) + 1)))
 
 
 def places(found: Copies, blocks: Blocks, room: Local) -> Indices:
-    """Return the indices (C, k) of the atoms of terms within their blocks."""
+    """Return the index (C, k) of each atom of a term among the atoms that its block reads."""
     n, own = len(blocks.particles), np.diff(blocks.first_atom)
     block = np.repeat(np.arange(len(blocks)), np.diff(room.first))
     within = np.arange(len(room.atoms)) - room.first[block]
@@ -112,7 +112,7 @@ def places(found: Copies, blocks: Blocks, room: Local) -> Indices:
 def arrays(
     terms: Terms, blocks: Blocks, precision: type[np.floating]
 ) -> tuple[dict[str, NDArray[Any]], dict[str, int]]:
-    """Return the kernel's arrays of terms and blocks, and its constants."""
+    """Return the kernel's arrays of terms and blocks by name, and the constants with which the kernel is compiled."""
     kinds = kinds_of(terms, precision)
     found = {name: copies(kind.particles, blocks) for name, kind in kinds.items()}
     room = local(blocks, list(found.values()))
