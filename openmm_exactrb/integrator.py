@@ -1,4 +1,4 @@
-"""ExactRigidBodyIntegrator, which takes the forces from OpenMM and performs splitting and rotation."""
+"""ExactRigidBodyIntegrator, which uses forces from OpenMM and performs the splitting and the rotations."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     """Rigid-body dynamics with the exact free rotation and a symmetric splitting.
 
     Rigid bodies are the clusters of particles that constraints of the System hold rigid. Particles without constraints,
-    and clusters that constraints do not make rigid, are integrated as well. After every call of step(n) the Context
-    contains positions, velocities, time and step count; changes made to the Context between calls are taken into
-    account. A scheme that begins and ends with a kick evaluates the forces again at the start of each call; within a
-    call no force is evaluated twice.
+    and clusters that constraints do not make rigid, are integrated as well. After every call of step(n), the Context
+    contains the new positions, velocities, time and step count; changes made to the Context between calls are taken
+    into account. A scheme that begins and ends with a kick evaluates the forces again at the start of each call; within
+    a call no force is evaluated twice.
 
     Parameters
     ----------
@@ -51,33 +51,33 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     rotor : str or Rotor, optional
         A key of `openmm_exactrb.ROTORS`, or an `openmm_exactrb.rotors.Rotor` of your own.
     bodies : sequence of sequences of int, optional
-        Particles of rigid bodies, in addition to the bodies that constraints define. Their shape is that of the
-        positions at the first step; forces within them only add a constant to the energy.
+        Particles of rigid bodies, in addition to the bodies that constraints define. Their shapes are those of the
+        positions at the first step; forces within these bodies only add a constant to the energy.
     fast : {"auto", "bonded"} or sequence of int, optional
-        Forces that are integrated with inner steps within the drifts of the scheme: "bonded" for bonds, angles,
-        torsions and pairs three bonds apart, or numbers of force groups. The number of evaluations of the other forces,
-        which determine the cost, does not change. "auto": bonded forces, if the interval between force evaluations
-        exceeds a sixteenth of the shortest period of bonds and angles. None: no inner steps.
+        Forces that are integrated with inner steps within the drifts of the scheme: "bonded" means bonds, angles,
+        torsions and pairs three bonds apart; a sequence contains numbers of force groups. The number of evaluations of
+        the other forces, which determines the cost, does not change. "auto" means bonded forces if the interval between
+        force evaluations exceeds a sixteenth of the shortest period of bonds and angles, and None means no inner steps.
     inner : str or Scheme, optional
-        Scheme of the inner steps: by default S2_2, or SRKN4_6b if the scheme has order above 2 or force gradients.
+        Scheme of the inner steps; by default S2_2, or SRKN4_6b if the scheme has an order above 2 or force gradients.
     innerSteps : int, optional
         Number of inner steps per step, at least one for each drift. By default, bonded forces are evaluated at least 20
-        times per shortest period of bonds and angles; 12.5 times in schemes that contain a heat exchange, and 80 times
-        with SRKN4_6b.
+        times per shortest period of bonds and angles, or at least 12.5 times in schemes that contain a heat exchange
+        and 80 times with SRKN4_6b.
     engine : {"auto", "host", "device"}, optional
-        Where steps are performed. "host": on the processor. "device": on the device, by kernels for CUDA, HIP and
-        OpenCL (docs: On a GPU). "auto": on the device if it is a GPU and the engine supports the System (see
+        Where steps are performed: "host" means on the processor; "device" means on the device, by kernels for CUDA, HIP
+        and OpenCL (docs: On a GPU); "auto" means on the device if it is a GPU and the engine supports the System (see
         `engineNote`).
     thermostat : Thermostat, optional
-        One of `openmm_exactrb.thermostats` or your own; with it, the scheme may also be one of
-        `openmm_exactrb.schemes.WITH_THERMOSTAT`. None for constant energy.
+        A thermostat of `openmm_exactrb.thermostats` or your own; the scheme may then also be a key of
+        `openmm_exactrb.schemes.WITH_THERMOSTAT`. None means constant energy.
     forceInterval : float or Quantity, optional
         Mean time between two force evaluations, in ps if it has no unit, instead of ``stepSize``: a step is this
         interval times `forceEvaluationsPerStep`, so that schemes with equal intervals cost about the same.
     checkDivergence : bool, optional
         Whether to raise an error if the total energy jumps. Pass False if your own forces or substeps do work, as in
-        active matter. Energies are not compared either if the System has a PythonForce or a force of a plugin, which
-        may do work. Non-finite numbers always raise an error.
+        active matter. The total energy is also not checked if the System has a PythonForce or a force of a plugin,
+        because these forces may do work. Non-finite numbers always raise an error.
 
     Raises
     ------
@@ -145,7 +145,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         return copy.deepcopy(self._bodies)
 
     def getMultipleTimeSteps(self) -> MultipleTimeSteps | None:
-        """Return the settings of inner steps, or None without any."""
+        """Return the settings of inner steps, or None without inner steps."""
         return self._fast
 
     @property
@@ -160,9 +160,9 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
 
     @property
     def forceEvaluationsPerStep(self) -> int:
-        """Force evaluations per step, without those of fast forces.
+        """Number of force evaluations per step, without those of fast forces.
 
-        A processed scheme needs `Scheme.output_forces` additional ones per call of `step`.
+        A processed scheme needs `Scheme.output_forces` additional force evaluations per call of `step`.
         """
         return self._scheme.forces
 
@@ -186,7 +186,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
                 raise
 
     def setIntegrationForceGroups(self, groups: int | set[int]) -> None:
-        """Set the active force groups, as a set or as bits; raise ValueError for anything else."""
+        """Set the active force groups, as a set or as the bits of a number; raise ValueError for anything else."""
         super().setIntegrationForceGroups(checks.force_groups(groups))
         self._groups = openmm.CustomIntegrator.getIntegrationForceGroups(self)
         self._changed()
@@ -196,7 +196,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         return self._groups
 
     def setRandomNumberSeed(self, seed: int) -> None:
-        """Set the seed of the noise; 0 lets the next step draw a seed, which is then kept.
+        """Set the seed of the noise; if it is 0, the next step draws a seed, which is then kept.
 
         Raises
         ------
@@ -207,14 +207,14 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         self._noise.set(self, seed)
 
     def getSeedInUse(self) -> int:
-        """Return the seed in use: the one that was set, read from a checkpoint, or drawn.
+        """Return the seed in use, which was set, read from a checkpoint, or drawn.
 
-        It is 0 before a seed is drawn. ``getRandomNumberSeed`` returns the seed that was set.
+        The result is 0 before a seed is drawn. ``getRandomNumberSeed`` returns the seed that was set.
         """
         return self._noise.in_use(self)
 
     def getEngine(self) -> str:
-        """Return the name of the engine that performs the steps; with engine="auto" the Context decides."""
+        """Return the name of the engine that performs the steps; with engine="auto", the Context determines it."""
         if self._selection.open and self._unsettled():
             self._settle(self._found())
         return self._selection.engine.name
@@ -259,13 +259,15 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         Raises
         ------
         ValueError
-            If the number is negative or not whole, there is no Context yet, nothing in the System can move, a barostat
-            would tear bodies, or positions are not finite or not rigid. The state is unchanged in these cases.
+            If the number of steps is negative or not whole, there is no Context yet, nothing in the System can move, a
+            barostat would tear bodies, or positions are not finite or do not fit the rigid bodies. The state is
+            unchanged in these cases.
         RuntimeError
             If this integrator is already performing a step in another thread.
         IntegrationError
             If the state becomes non-finite (NonFiniteError) or the total energy jumps. As after any other error, the
-            Context contains the last valid step; on the device or with a processed scheme, the state before this call.
+            Context contains the state after the last valid step or, on the device or with a processed scheme, the state
+            before this call.
         """
         count = steps if type(steps) is int and steps >= 0 else checks.whole(steps, "the number of steps", least=0)
         self._begin_work()
@@ -282,7 +284,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
             self._at_work.release()
 
     def _begin_work(self) -> None:
-        """Raise RuntimeError within a step, when the state is incomplete."""
+        """Reserve the integrator; raise RuntimeError within a step, during which the state is incomplete."""
         if not self._at_work.acquire(blocking=False):
             raise RuntimeError(
                 "this integrator is already performing a step, in another thread or from a force that calls it: wait "
@@ -319,11 +321,11 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         return {"arguments": arguments | self._arguments(), "settings": settings}
 
     def __repr__(self) -> str:
-        """Return scheme, rotor and step."""
+        """Return the type, the step size, the scheme and the rotor."""
         return f"{type(self).__name__}({self._h:g} ps, scheme={self._scheme.name!r}, rotor={self._rotor.name!r})"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Copy and pickle the settings; a copy has no Context."""
+        """Return the settings for copies and pickles; a copy has no Context."""
         return copies.restored, self._parts()
 
     def __copy__(self) -> Any:
@@ -331,7 +333,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         return copies.restored(*self._parts())
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Any:
-        """Return the same, with deep copies of the attributes of a user's subclass."""
+        """Return an integrator with the same settings, no Context, and deep copies of a user's own attributes."""
         return copies.restored(type(self), *copy.deepcopy(self._parts()[1:], memo))
 
     def _parts(self) -> tuple[Any, ...]:
@@ -387,7 +389,7 @@ _SETTINGS = "IntegrationForceGroups", "ConstraintTolerance", "RandomNumberSeed"
 
 
 def _parting(integrator: ExactRigidBodyIntegrator) -> Callable[[], None]:
-    """Return the callback for runs that branch off, whose noise must differ."""
+    """Return the callback that changes the noise of a run that branches off."""
     reference, noise = weakref.ref(integrator), integrator._noise  # noqa: SLF001
 
     def part() -> None:

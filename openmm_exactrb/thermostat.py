@@ -1,4 +1,4 @@
-"""Thermostats: the base class, and the substep that all of them share."""
+"""The base class of thermostats, with the heat exchange that they share, and the noise of an integrator."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from openmm_exactrb.mechanics.state import Flow, State
 from openmm_exactrb.schemes import Scheme, thermostatted
 from openmm_exactrb.support.types import Array
 
-#: exchange(P, m, tau, at) -> (P, m): momenta as sums (2, 3, N) and (2, 3, K), new arrays or the same ones.
+#: exchange(P, m, tau, at) -> (P, m): momenta as double-doubles (2, 3, N) and (2, 3, K), in new arrays or the same ones.
 Exchange = Callable[[Array, Array, float, Instant], tuple[Array, Array]]
 
-_SEEDS = 2**31  # those of OpenMM that are not negative
-_STREAMS = 2**22  # with the seed they fit into the 53 bits of a variable of OpenMM
+_SEEDS = 2**31  # the number of OpenMM's seeds that are not negative
+_STREAMS = 2**22  # a seed and a stream fit into the 53 bits of an OpenMM variable
 
 
 class Factors(NamedTuple):
-    """The kernel that computes the two factors of a heat exchange on a device, a function in kernels/thermostats.cl.
+    """The device kernel that computes the two factors of a heat exchange, a function in kernels/thermostats.cl.
 
-    The record contains its defines and its number of persistent numbers: first those of ``Thermostat.numbers``, then
-    the thermostat's own.
+    The record contains the name of the kernel, its defines and the number of its persistent variables: those of
+    ``Thermostat.numbers``, followed by the thermostat's own.
     """
 
     kernel: str
@@ -41,21 +41,21 @@ class Factors(NamedTuple):
 class Thermostat(ABC):
     """A thermostat of an `openmm_exactrb.ExactRigidBodyIntegrator`.
 
-    Derive a frozen dataclass from it and pass an instance as ``thermostat=``.
+    Derive a frozen dataclass from this class and pass an instance as ``thermostat=``.
 
     Attributes
     ----------
     temperature : float
-        In K.
+        Temperature in K.
     numbers : tuple of str
-        Persistent numbers of `openmm_exactrb.context.variables` that the thermostat changes.
+        Names of the persistent variables of `openmm_exactrb.context.variables` that the thermostat changes.
     heat : str or None
-        The persistent number in which the energy supplied to the bodies is accumulated.
+        Name of the persistent variable that accumulates the energy supplied to the bodies.
     factors : Factors, optional
-        If an exchange multiplies momenta by factors, the device kernel that computes them.
+        The device kernel that computes the factors, if an exchange multiplies momenta by factors.
     scheme : str
-        The default scheme of an integrator with it: "BAOA", the splitting of LangevinMiddleIntegrator, which
-        evaluates forces once per step. A deterministic thermostat needs a scheme that is symmetric in time.
+        The default scheme of an integrator with the thermostat: "BAOA", the splitting of LangevinMiddleIntegrator,
+        which evaluates forces once per step. A deterministic thermostat needs a scheme that is symmetric in time.
     """
 
     temperature: float
@@ -66,12 +66,15 @@ class Thermostat(ABC):
 
     @property
     def relaxation(self) -> float | None:
-        """The time in ps in which the thermostat removes heat; if a run stays hot for longer, its step is too long."""
+        """The time in ps in which the thermostat removes heat, or None.
+
+        If the temperature of a run stays too high for longer than this time, its step is too long.
+        """
         return None
 
     @property
     def own_numbers(self) -> tuple[str, ...]:
-        """Persistent numbers of this thermostat alone: only it can read checkpoints with them."""
+        """Names of persistent variables of this thermostat alone; no other one can read checkpoints with them."""
         return ()
 
     @abstractmethod
@@ -107,17 +110,17 @@ class Thermostat(ABC):
         return thermostatted.with_thermostat(scheme)
 
     def splitting(self, scheme: Scheme) -> tuple[Scheme, int]:
-        """Return the drifts and kicks of a step, and the number of steps of the scheme that they make up."""
+        """Return a scheme with the drifts and kicks of a step, and the number of steps of `scheme` in it."""
         return scheme, 1
 
     def settings(self) -> Mapping[str, Any]:
-        """Return the settings on which the bits of a run depend."""
+        """Return the settings that determine a run to the last bit."""
         return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
 
     def kernel_exchange(self, tau: float, freedom: tuple[int, int]) -> tuple[float, ...] | None:
-        """Return the numbers that device kernels need for an exchange over tau (ps), or None if it is not supported.
+        """Return the numbers that device kernels need for an exchange over tau (ps), or None if there is no kernel.
 
-        `freedom` are the degrees of freedom of translation and of rotation.
+        `freedom` contains the degrees of freedom of translation and of rotation.
         """
         return None
 
@@ -134,17 +137,18 @@ def _gain(bodies: RigidBodies, before: State, after: State) -> float:
 class Noise:
     """The seed of an integrator's noise, and the stream in use.
 
-    The noise of a step depends only on seed, stream and step number, so that ten calls of ``step(10)`` are
-    bit-identical to ``step(100)``, as is a run that continues from a checkpoint or State in another process. If a
-    loaded State or a new step count makes a run branch off, as in replica exchange, the run continues with a new
-    stream; a checkpoint contains the number of its stream, and restores the noise.
+    The noise of a step depends only on seed, stream and step number. Ten calls of ``step(10)`` are therefore
+    bit-identical to ``step(100)``, and a run that continues from a checkpoint or State in another process is
+    bit-identical to an uninterrupted run. If a loaded State or a new step count makes a run branch off, as in replica
+    exchange, the run continues with a new stream. A checkpoint contains the number of its stream, and therefore
+    restores the noise.
     """
 
     def __init__(self) -> None:
         self._drew, self._streams = False, 0
 
     def set(self, integrator: openmm.CustomIntegrator, seed: int) -> None:
-        """Set the seed; 0 lets the next step draw one."""
+        """Set the seed; if it is 0, the next step draws a seed."""
         variables.put(integrator, variables.SEED, seed)
         variables.put(integrator, variables.STREAM, 0)
         self._streams = 0
@@ -154,7 +158,7 @@ class Noise:
         return int(integrator.getRandomNumberSeed()) or int(variables.get(integrator, variables.SEED))
 
     def key(self, integrator: openmm.CustomIntegrator, steps: int) -> int:
-        """Return the key of the random numbers of steps; a seed is drawn unless one is set."""
+        """Return the key of the random numbers of the next steps; a seed is drawn unless one is set."""
         seed = self.in_use(integrator) or 1 + secrets.randbelow(_SEEDS - 1)
         variables.put(integrator, variables.SEED, seed)
         self._drew |= steps > 0
@@ -168,7 +172,7 @@ class Noise:
 
 
 def valid_seed(seed: int) -> int:
-    """Return a valid seed of OpenMM's integrators; raise ValueError if it is not below 2^31."""
+    """Return the seed if OpenMM's integrators accept it; raise ValueError if it is not below 2^31."""
     if seed >= _SEEDS:
         raise ValueError(f"the seed must be below 2^31, not {seed}")
     return seed

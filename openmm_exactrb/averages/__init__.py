@@ -1,4 +1,4 @@
-"""Averages without the error of the step size: the data that a run reports, and the corrections computed from them."""
+"""Averages without the step-size error: the data that a run reports, and the corrections computed from these data."""
 
 from openmm_exactrb.averages.correction import Average, PressureOffset, corrected, pressure_offset
 from openmm_exactrb.averages.reporter import AverageReporter

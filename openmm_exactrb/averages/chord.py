@@ -1,14 +1,14 @@
-"""The step-size error of drifts that move particles straight on and then back onto their constraints.
+"""The step-size error of drifts that move particles in straight lines and then back onto their constraints.
 
 LangevinMiddleIntegrator drifts along a chord: it moves the particles as if there were no constraints, and then back
-along the gradients at the start. With the heat exchange halfway, such a drift additionally conserves, next to the
-exchange,
+onto the constraints along the gradients at the start of the drift. With a heat exchange halfway through such a drift,
+the conserved quantity next to the exchange has the additional term
 
     h² T,        T = a·M a/24,
 
-where a is the acceleration of a free motion with these constraints; the noise along the gradients, half of which enters
-the velocities, changes no average to second order. Let r_c be the vector between the two ends of a constraint, u_c its
-rate, and E the matrix of the differences of ends. Then
+where a is the acceleration of the free motion with these constraints. The noise along the gradients, half of which
+enters the velocities, changes no average to second order. Let r_c be the vector between the two ends of constraint c,
+u_c its rate of change, and E the matrix that takes the differences between ends. Then
 
     a·M a = q·Z⁻¹q,        q_c = |u_c|²,        Z_cd = L_cd r_c·r_d,        L = E M⁻¹Eᵀ.
 """
@@ -23,10 +23,11 @@ import numpy as np
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.support.types import Array, Indices
 
-# Constraints less independent than this, relative to the others of a cluster, follow from them. It is the square of a
-# slope, such as that of a flat pyramid, which has to be far above h²ω² of a rotation by ω.
+# Constraints that are less independent of the others of a cluster than this are considered to follow from them. It is
+# the square of a slope, such as that of a flat pyramid, and must be far above h²ω² of a rotation with angular velocity
+# ω.
 _INDEPENDENT = 1e-4
-# Constraints of a cluster, whose matrices are dense here.
+# The largest number of constraints in a cluster, whose matrices are dense here.
 _LARGEST = 100
 
 
@@ -38,7 +39,7 @@ class _Held(NamedTuple):
 
 
 class Chords:
-    """The conserved quantity of the drifts of the constrained particles of a System.
+    """The conserved term h² T of drifts along chords, for the constrained particles of a System.
 
     Parameters
     ----------
@@ -51,7 +52,7 @@ class Chords:
     Raises
     ------
     ValueError
-        If constraints do not hold a rigid body at first order, or a cluster has too many.
+        If the constraints of a rigid body do not hold it to first order, or a cluster has too many constraints.
     """
 
     def __init__(self, bodies: RigidBodies, pairs: Indices, x: Array) -> None:
@@ -64,7 +65,7 @@ class Chords:
                 )
             differences = np.eye(len(masses))[own[:, 0]] - np.eye(len(masses))[own[:, 1]]
             held = _Held(particles[:, own], differences / masses @ differences.T)
-            # Of a rigid body by its shape: the positions that a run begins with may be rough.
+            # For a rigid body, its shape is used, because the initial positions of a run may be inaccurate.
             r = _vectors(held, x) if sites is None else sites[:, own[:, 0]] - sites[:, own[:, 1]]
             ranks = np.linalg.matrix_rank(_matrix(held, r), rtol=_INDEPENDENT, hermitian=True)
             alike = len(particles) // len(r)
@@ -88,7 +89,7 @@ class Chords:
 def _clusters(bodies: RigidBodies, pairs: Indices) -> Iterator[tuple[Indices, Array, Indices, Array | None]]:
     """Yield particles (N, n), masses (n,), members of constraints (m, 2), and the sites of rigid clusters.
 
-    Sites are (1, n, 3) of one shape, or (N, n, 3), in nm.
+    Sites, in nm, are (1, n, 3) if all clusters have one shape, otherwise (N, n, 3), and None for nonrigid clusters.
     """
     for kind in bodies.kinds:
         if kind.turns:
@@ -111,10 +112,10 @@ def _matrix(held: _Held, r: Array) -> Array:
 
 
 def _mean(held: _Held, r: Array) -> float:
-    """Return the mean of T, summed over clusters, over kT²: in mol/(kJ ps²).
+    """Return the mean of T, summed over clusters and divided by the square of kT, in mol/(kJ ps²).
 
-    The rates u have the covariance C = W - W Rᵀ Z⁻¹ R W, where W = L ⊗ 1 and R has the vectors r; the mean of q_c q_d
-    is the product of the traces of C_cc and C_dd and twice the square of C_cd.
+    The rates u have the covariance C = W - W Rᵀ Z⁻¹ R W, where W = L ⊗ 1 and R contains the vectors r. The mean of q_c
+    q_d is the product of the traces of C_cc and C_dd plus twice the sum of the squares of the entries of C_cd.
     """
     inverse = np.linalg.pinv(_matrix(held, r), rcond=_INDEPENDENT, hermitian=True)
     forced = held.inverse_mass[:, None, :] * r.transpose(0, 2, 1)[:, None]  # W Rᵀ, (N, m, 3, m)

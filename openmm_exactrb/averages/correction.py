@@ -1,7 +1,7 @@
-"""Corrections of averages for the step size, of second order, with their errors.
+"""Second-order corrections of averages for the step size, with error estimates.
 
-Let f be the generalised force, f_s that of the forces in the kicks (all of them without inner steps), S = f_s·M⁻¹f_s
-and W = f·M⁻¹f_s. The error that a splitting with steps h causes in the average of an observable A of the positions is
+Let f be the generalised force, f_s the generalised force of the kicks (f without inner steps), S = f_s·M⁻¹f_s and W =
+f·M⁻¹f_s. The error that a splitting with steps h causes in the average of an observable A of the positions is
 
     h² {-(alpha + beta) Cov(A, S)/kT - kappa <grad A · M⁻¹f_s> + J},
 
@@ -10,15 +10,15 @@ friction far slower than the exchange of energy between motions, and far faster 
 
     J = 2 alpha <W> Cov(A, U)/(n kT²),        J = -2 alpha <grad A · M⁻¹f_s> - alpha Cov(A, W)/kT,
 
-with n degrees of freedom; the second is exact only without inner steps, and also holds for harmonic motions that
-exchange no energy, at any friction. A correction uses the mean of these limits. Drifts along chords also conserve h² T
+with n degrees of freedom. The second limit is exact only without inner steps; for harmonic motions that exchange no
+energy, it holds at any friction. A correction uses the mean of these limits. Drifts along chords also conserve h² T
 (`openmm_exactrb.averages.chord`), which adds
 
     -Cov(A, T)/kT + 4 <T> Cov(A, U)/(n kT²)
 
-at weak friction, and at any friction to the energy of a harmonic liquid. A barostat accepts volumes by the true energy.
-The error dP of the pressure at a fixed volume therefore changes any average by Cov(A, V) dP/kT, while A, S and W
-fluctuate at a fixed volume in all other terms (the volume is slow).
+to the average at weak friction, and to the energy of a harmonic liquid at any friction. A barostat accepts volumes by
+the true energy. The error dP of the pressure at a fixed volume therefore changes any average by Cov(A, V) dP/kT,
+whereas all other terms contain the fluctuations of A, S and W at a fixed volume, because the volume changes slowly.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from openmm_exactrb.openmm_access.units import plain
 from openmm_exactrb.support import checks
 from openmm_exactrb.support.types import Array
 
-# Blocks of the jackknife, and the fewest frames that they can be made of.
+# The number of blocks of the jackknife, and the smallest number of frames.
 _BLOCKS, _FEWEST = 20, 40
 # kg/m³ per Da/nm³.
 _DENSITY = 1.66053906660
@@ -54,11 +54,12 @@ class Average:
     mean : float
         The average minus the step-size error.
     error : float
-        The standard deviation of the mean, from statistics and from the correction.
+        The standard deviation of the mean, which includes statistical errors and the uncertainty of the correction.
     correction : float
         The difference between `mean` and the average over the frames.
     correction_error : float
-        The standard deviation of the correction, from statistics and from a uniform distribution over `bracket`.
+        The standard deviation of the correction, which includes statistical errors and a uniform distribution over
+        `bracket`.
     bracket : (float, float)
         The corrected averages for weak and for strong friction; `mean` is halfway between them.
     """
@@ -79,7 +80,7 @@ class PressureOffset:
     bar, error : float
         The error of the pressure and its standard deviation, in bar; see `Average`.
     bracket : (float, float)
-        For weak and for strong friction.
+        The offsets for weak and for strong friction, in bar.
     scheme, step, temperature : str, float (ps), float (K)
         The settings for which the offset is valid; it also depends on the force field and the density.
     """
@@ -92,7 +93,7 @@ class PressureOffset:
     temperature: float
 
     def barostat(self, pressure: float | unit.Quantity, frequency: int = 25) -> openmm.MonteCarloBarostat:
-        """Return a barostat that yields the density of a pressure (in bar if it has no unit) at zero step size."""
+        """Return a barostat that gives the density of a pressure (in bar if it has no unit) at zero step size."""
         wanted = plain(pressure, unit.bar, "a pressure")
         return openmm.MonteCarloBarostat((wanted + self.bar) * unit.bar, self.temperature * unit.kelvin, frequency)
 
@@ -127,8 +128,9 @@ def corrected(
     local : bool, optional
         Whether to use the curvature of the potential near the particles given as ``around`` to the reporter.
     pressure : float or Quantity, optional
-        Pressure to which the average is corrected, in bar if it has no unit: close to that of the barostat, which is
-        the default. After a run with the barostat of a `PressureOffset`, pass the pressure without the offset.
+        Pressure to which the average is corrected, in bar if it has no unit; it must be close to the pressure of the
+        barostat, which is the default. After a run with the barostat of a `PressureOffset`, pass the pressure without
+        the offset.
 
     Returns
     -------
@@ -192,16 +194,16 @@ def pressure_offset(file: str | os.PathLike[str]) -> PressureOffset:
 
 
 Columns = dict[str, Array]
-#: The average of the frames and the errors of the step size for weak and strong friction.
+#: The average over the frames, and its step-size errors for weak and for strong friction.
 _Result = tuple[float, float, float]
 
 
-#: A value, and the observable whose average changes as it does.
+#: A value, and an observable whose average changes in the same way.
 _Estimate = tuple[float, _Observable]
 
 
 def _errors(settings: Settings, columns: Columns, of: _Observable, local: bool, excess: float) -> tuple[float, float]:
-    """Return the errors of an average for weak and for strong friction; the pressure may have an excess (bar)."""
+    """Return the errors of an average for weak and for strong friction, given the excess of the pressure in bar."""
     if not settings.barostat:
         return _at_fixed_volume(settings, columns, of, local, None)
     volume = columns["volume"]

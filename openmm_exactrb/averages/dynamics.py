@@ -1,4 +1,4 @@
-"""The data of an integrator that corrections need: Langevin dynamics of this package, or OpenMM's."""
+"""The data that corrections need from a Langevin integrator of this package or of OpenMM."""
 
 from __future__ import annotations
 
@@ -36,15 +36,17 @@ class Dynamics:
     ----------
     scheme : str
     step : float
-        In ps.
+        Step size in ps.
     order : SecondOrder
+        Coefficients of the second-order error.
     temperature : float
-        In K.
+        Temperature in K.
     frictions : tuple of float
-        In 1/ps.
+        Frictions in 1/ps.
     freedom : int
-        Degrees of freedom.
+        Number of degrees of freedom.
     bodies : RigidBodies
+        The bodies of the System.
     named : sequence of sequences of int
         Bodies named by the user.
     state : callable
@@ -52,9 +54,9 @@ class Dynamics:
     damping : (N,) and (K,) arrays
         Frictions of translation and of rotation, relative to their mean over the degrees of freedom.
     fast : FastForces, optional
-        Forces of the drifts.
+        The fast forces, which act in the drifts.
     chords : Chords, optional
-        Chords of drifts that are not free motion.
+        The conserved term of the drifts, if they are along chords.
     changing : callable
         Returns the settings that a user may change during a run.
     """
@@ -75,7 +77,7 @@ class Dynamics:
 
 
 def dynamics_of(simulation: Any) -> Dynamics:
-    """Return the data of a Simulation's integrator that corrections need.
+    """Return the data that corrections need from the integrator of a Simulation.
 
     Raises
     ------
@@ -135,7 +137,7 @@ def _of_this_package(simulation: Any, frictions: tuple[float, ...]) -> Dynamics:
 
 
 def _of_openmm(simulation: Any, frictions: tuple[float, ...]) -> Dynamics:
-    """Return the dynamics of a LangevinMiddleIntegrator: BAOA, whose drifts are chords."""
+    """Return the dynamics of a LangevinMiddleIntegrator: BAOA with drifts along chords."""
     integrator, context, system = simulation.integrator, simulation.context, simulation.system
     temperature = integrator.getTemperature().value_in_unit(unit.kelvin)
     ContextUpdates(context, ()).check_temperatures(context, temperature)
@@ -161,7 +163,7 @@ def _of_openmm(simulation: Any, frictions: tuple[float, ...]) -> Dynamics:
 
 
 def _damping(thermostat: Langevin, bodies: RigidBodies, flexible: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return the frictions of bodies relative to their mean; bodies in flexible molecules may have their own."""
+    """Return the frictions of bodies relative to their mean; frictions in flexible molecules may be different."""
     rates = zip(thermostat.frictions, thermostat.flexible_frictions, strict=True)
     translation, rotation = (np.where(flexible, other, rate) for rate, other in rates)
     rotation = rotation[: bodies.n_turning]

@@ -1,7 +1,7 @@
 """The quantities of a frame that determine the step-size error of averages.
 
 The symbols are those of `openmm_exactrb.averages.correction`: f is the generalised force of all forces and f_s that of
-the forces in the kicks; w = M⁻¹f_s is a field of velocities, along which observables have slopes.
+the forces in the kicks. The slopes of observables are their derivatives along the velocity field w = M⁻¹f_s.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Force(NamedTuple):
     torque: Array
 
     def less(self, other: Force) -> Force:
-        """Return the difference of two forces."""
+        """Return this force minus another."""
         return Force(self.force - other.force, self.torque - other.torque)
 
 
@@ -60,7 +60,7 @@ class Frames:
         self._scaled = _ScaledContext(simulation, dynamics, self._kT) if pressure else None
 
     def row(self, state: openmm.State, observables: Mapping[str, Observable]) -> list[float]:
-        """Return the values of the `columns` for a State with energy, forces and positions."""
+        """Return the values of the columns after the time, for a State with energy, forces and positions."""
         x = arrays.positions(state)
         of_bodies = self._dynamics.state(x)
         total = self._generalised(of_bodies, arrays.forces(state))
@@ -88,18 +88,18 @@ class Frames:
         return self._excerpt.forces(self._context, x)
 
     def _products(self, one: Force, other: Force) -> Force:
-        """Return f·M⁻¹g of each body, for translation (N,) and rotation (K,)."""
+        """Return f·M⁻¹g of each body for forces f and g: of translation (N,) and of rotation (K,)."""
         translation = (one.force * other.force).sum(axis=0) / self.bodies.mass
         return Force(translation, (one.torque * other.torque / self.bodies.inertia.T).sum(axis=0))
 
     def _split(self, product: Force) -> tuple[float, float]:
-        """Return the sums over bodies without and with inner steps."""
+        """Return the sums of a product over bodies without inner steps and over bodies with inner steps."""
         both = (~self._inner, self._inner)
         one, other = (_sum(product, (of.astype(float), of[: self.bodies.n_turning].astype(float))) for of in both)
         return one, other
 
     def _near(self, x: Array, state: openmm.State) -> tuple[Array, Array]:
-        """Return 1 for each body with a particle near those that the user selected, and 0 for the others."""
+        """Return weights (N,) and (K,): 1 for bodies with a particle near a selected particle, 0 for other bodies."""
         assert self._around is not None
         particles, distance = self._around
         gaps = x[:, None] - x[None, list(particles)]
@@ -112,7 +112,7 @@ class Frames:
         return bodies, bodies[: self.bodies.n_turning]
 
     def _field(self, state: BodyState, slow: Force, chosen: NDArray[np.bool_]) -> Field:
-        """Return M⁻¹f_s of selected bodies."""
+        """Return the velocity field M⁻¹f_s of selected bodies, which is zero for all others."""
         turning = chosen[: self.bodies.n_turning]
         own = Force(slow.force * chosen, slow.torque * turning)
         particles = np.zeros((self.bodies.n_particles, 3))
@@ -121,7 +121,7 @@ class Frames:
 
 
 class Field(NamedTuple):
-    """Velocities of bodies, and of all particles (n_particles, 3)."""
+    """A velocity field, given for bodies and for all particles (n_particles, 3)."""
 
     bodies: Force
     particles: Array
@@ -143,7 +143,7 @@ def _slope(observable: Observable, x: Array, field: Array) -> float:
 
 
 class _FastContext:
-    """The forces of the inner steps, which the kicks do not contain."""
+    """The fast forces, which act in the inner steps and not in the kicks."""
 
     def __init__(self, fast: FastForces) -> None:
         self._fast = fast
@@ -164,7 +164,7 @@ class _FastContext:
 
 
 class _ScaledContext:
-    """Energies and forces in boxes of other sizes, to which a barostat would move the centres of molecules.
+    """Energies and forces in boxes of other sizes, with molecules moved as a barostat would move them.
 
     A molecule's centre is the mean position of its particles, as for OpenMM's barostats.
     """
@@ -187,7 +187,7 @@ class _ScaledContext:
         self._ideal = self.molecules * kT
 
     def _centres(self, x: Array) -> Array:
-        """Return the mean vectors (molecules, 3) of the particles of each molecule."""
+        """Return the means (molecules, 3) of vectors x (n_particles, 3) over the particles of each molecule."""
         return np.stack([np.bincount(self._molecule, column) for column in x.T], axis=1) / self._sizes[:, None]
 
     def pressure(
@@ -200,8 +200,8 @@ class _ScaledContext:
     ) -> list[float]:
         """Return the molecular pressure and its slopes along fields, in bar and bar/ps².
 
-        By the chain rule, dU/dl of lengths l has the slope -w·df/dl - sum F·c along w, where c is the velocity of the
-        centre of a molecule and F the force on it.
+        By the chain rule, the slope along w of dU/dl, where l scales all lengths, is -w·df/dl - sum F·c. Here c is the
+        velocity of the centre of a molecule, and F is the force on the molecule.
         """
         x, volume = arrays.positions(state), state.getPeriodicBoxVolume()._value
         arrays.take_parameters(self._own, self._context.getState(parameters=True))
@@ -227,7 +227,7 @@ class _ScaledContext:
         scale: float,
         generalised: Callable[[BodyState, Array], Force],
     ) -> tuple[float, Force]:
-        """Return energy and generalised force in a box of different lengths."""
+        """Return the potential energy and the generalised force in a box with scaled lengths."""
         self._own.setPeriodicBoxVectors(*(scale * np.reshape(arrays.box(state), (3, 3))))
         self._own.setPositions(x + (scale - 1.0) * self._centres(x)[self._molecule])
         self._own.computeVirtualSites()

@@ -22,28 +22,29 @@ class Settings:
     ----------
     scheme : str
     step : float
-        h in ps.
+        Step size h in ps.
     alpha, beta : float
         Coefficients of the conserved energy; see `openmm_exactrb.schemes.second_order`.
     slopes : (float, float)
-        Coefficients of minus the slope of an observable, for bodies without and with inner steps.
+        Factors with which a correction subtracts the slope of an observable, for bodies without and with inner steps.
     temperature : float
-        In K.
+        Temperature in K.
     kT : float
-        In kJ/mol.
+        Thermal energy in kJ/mol.
     frictions : tuple of float
-        In 1/ps.
+        Frictions in 1/ps.
     freedom : int
-        Degrees of freedom.
+        Number of degrees of freedom.
     mass : float
         Total mass of all particles, in Da.
     barostat : str
-        The type of the System's barostat, or "".
+        The type of the System's barostat, or "" without a barostat.
     pressure : float
         Pressure of the barostat, in bar.
     observables : tuple of str
+        Names of the user's observables.
     chords : bool, optional
-        Whether drifts are those of `openmm_exactrb.averages.chord`.
+        Whether drifts are along chords, as in `openmm_exactrb.averages.chord`.
     """
 
     scheme: str
@@ -80,7 +81,7 @@ def head(settings: Settings, columns: tuple[str, ...]) -> str:
 
 
 def continues(text: str, settings: Settings, columns: tuple[str, ...]) -> bool:
-    """Return whether a file is from a run with these settings and columns."""
+    """Return whether a file with this text is from a run with these settings and columns."""
     first, second, *_ = [*text.splitlines(), "", ""]
     return first.startswith(_MARK) and _settings(first) == settings and second == ",".join(columns)
 
@@ -99,7 +100,7 @@ def _value(text: str) -> float:
 
 
 def read(file: str | os.PathLike[str]) -> tuple[Settings, dict[str, Array]]:
-    """Return the settings and the columns of a run, whose names are without units.
+    """Return the settings of a file, and its columns by name; the names have no units.
 
     Raises
     ------

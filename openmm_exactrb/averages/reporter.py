@@ -18,32 +18,32 @@ from openmm_exactrb.support import checks
 
 
 class AverageReporter:
-    """Write the data for `corrected` and `pressure_offset`, as CSV with all digits.
+    """Write the data for `corrected` and `pressure_offset` to a CSV file, with all digits.
 
-    Unless pressure is requested, a report uses only the forces that the Simulation evaluates for it.
+    Unless pressure is requested, a report uses only the forces that the Simulation evaluates for this report.
 
     Parameters
     ----------
     file : str or path
     reportInterval : int
-        Steps between two frames. In water, frames a tenth of a ps apart are nearly independent.
+        Number of steps between two frames. In water, frames a tenth of a ps apart are nearly independent.
     pressure : bool, optional
-        Whether to store the molecular pressure and its slope, at two more evaluations of energy and forces per frame.
-        Corrections at constant pressure and `pressure_offset` need this pressure.
+        Whether to store the molecular pressure and its slope, which costs two more evaluations of energy and forces per
+        frame. Corrections at constant pressure and `pressure_offset` need this pressure.
     observables : mapping of str to callable, optional
-        Functions that return a number, given the positions, an array (n_particles, 3) in nm with whole molecules. They
-        are also evaluated at displaced positions, for the slopes that the corrections need.
+        Functions that return a number for the positions, an array (n_particles, 3) in nm with whole molecules. They are
+        also evaluated at displaced positions, to compute the slopes that the corrections need.
     around : (sequence of int, float), optional
         Particles, such as those of a solute, and a distance in nm (or a Quantity). The curvature of the potential is
-        also stored for the bodies within this distance, which reduces the statistical error of corrections to
-        observables that depend only on these particles: see ``local`` of `corrected`.
+        then also stored for the bodies within this distance alone. For observables that depend only on these particles,
+        this reduces the statistical error of corrections: see the argument ``local`` of `corrected`.
     append : bool, optional
-        Continue the existing file of a run with the same settings.
+        Whether to continue an existing file of a run with the same settings.
 
     Notes
     -----
     The Simulation must use an `openmm_exactrb.ExactRigidBodyLangevinIntegrator` with one heat exchange per step, or
-    OpenMM's LangevinMiddleIntegrator. Each line is flushed immediately.
+    OpenMM's LangevinMiddleIntegrator. Each line is flushed to the file immediately.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class AverageReporter:
         self._frames: Frames | None = None
         self._dynamics: Any = None
         self._out: Any = None
-        self._present: object = None  # what may be changed in a run
+        self._present: object = None  # the settings that may be changed in a run
 
     def describeNextReport(self, simulation: Any) -> dict[str, Any]:
         """Return when the next frame is due and which data it needs, as OpenMM requires.

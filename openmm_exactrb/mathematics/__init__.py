@@ -1,1 +1,1 @@
-"""Mathematics that needs numpy only: elliptic functions, compensated sums, quaternions."""
+"""Mathematical functions that need only NumPy: elliptic functions, compensated sums and quaternions."""

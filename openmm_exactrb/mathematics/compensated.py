@@ -1,9 +1,9 @@
 """Reduction of roundoff: double-double numbers, and norms that do not drift.
 
-A million small steps of double-doubles have no more roundoff than a single large one. An array of them is (2, ...):
-``x[0]`` is the number rounded to float64, ``x[1]`` the rounding error.
+A million small steps in double-doubles accumulate no more roundoff than a single large step. An array of double-doubles
+has the shape (2, ...): ``x[0]`` is the number rounded to float64, and ``x[1]`` is the rounding error.
 
-The functions from `two_sum` on are error-free transformations, for arrays, and for scalars in compiled code.
+`two_sum` and the functions after it are error-free transformations of arrays and, in compiled code, of scalars.
 """
 
 from __future__ import annotations
@@ -15,26 +15,29 @@ from openmm_exactrb.support.types import Array
 
 
 def exactly(x: Array) -> Array:
-    """Return an array as double-doubles (2, ...)."""
+    """Return an array as double-doubles (2, ...) with low parts of zero."""
     return np.array([x, np.zeros(x.shape)])
 
 
 def add(x: Array, step: Array) -> Array:
-    """Return x + step for double-doubles x (2, ...), or for a plain array as x (1, ...)."""
+    """Return x + step for double-doubles x (2, ...), or for a plain array given as x (1, ...)."""
     return x + step if len(x) == 1 else np.array(two_sum(x[0], step + x[1]))
 
 
 def renewed(x: Array, high: Array) -> Array:
-    """Return double-doubles with a new high part; the low part stays where the high part is unchanged."""
+    """Return double-doubles with new high parts.
+
+    A low part is kept where the high part is unchanged, and is zero elsewhere.
+    """
     return np.array([high, np.where(high == x[0], x[1], 0.0)])
 
 
 def keep_norm(m1: Array, m: Array, square: Array) -> Array:
-    """Correct the norm of momenta m1 (3, N), in place, to that of m, equal up to roundoff; `square` is m.m.
+    """Correct the norms of momenta m1 (3, N), in place, to those of m, which differ by roundoff; `square` is m.m.
 
     The difference of the squares, computed as (m - m1).(m + m1), is small and its rounding is unbiased. The rounding of
-    1 - m1.m1/m.m is biased, because floating-point numbers are denser below one than above, and would make the norm
-    drift.
+    1 - m1.m1/m.m would be biased, because floating-point numbers are denser below one than above one, and the norm
+    would drift.
     """
     m1 += m1 * (np.einsum("in,in->n", m - m1, m + m1) * (0.5 / square))
     return m1
@@ -63,14 +66,14 @@ def two_product(a: Numbers, b: Numbers) -> tuple[Numbers, Numbers]:
 
 
 def halves(a: Numbers) -> tuple[Numbers, Numbers]:
-    """Split 53 bits into 26 and 27."""
+    """Return the high and the low half of a number, whose 53 bits are split into 26 and 27."""
     t = 134217729.0 * a
     high = t - (t - a)
     return high, a - high
 
 
 def times(a: Numbers, b: tuple[Numbers, Numbers]) -> tuple[Numbers, Numbers]:
-    """Return a times a double-double b."""
+    """Return the double-double a b, for a number a and a double-double b."""
     leading, error = two_product(a, b[0])
     error = error + a * b[1]
     total = leading + error  # Dekker's FastTwoSum
@@ -78,7 +81,7 @@ def times(a: Numbers, b: tuple[Numbers, Numbers]) -> tuple[Numbers, Numbers]:
 
 
 def times_squared(factor: tuple[Numbers, Numbers], x: Numbers) -> tuple[Numbers, Numbers]:
-    """Return factor x² in double-double."""
+    """Return the product of a double-double factor and the square of a number x, as a double-double."""
     square, square_error = two_product(x, x)
     leading, error = two_product(factor[0], square)
     return leading, error + (factor[0] * square_error + factor[1] * square)

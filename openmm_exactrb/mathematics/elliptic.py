@@ -1,7 +1,7 @@
-"""Jacobi's elliptic functions and the integral of the third kind that a free rigid body needs.
+"""Jacobi's elliptic functions and the elliptic integral of the third kind, as required for a free rigid body.
 
-Everything is expressed by the *complementary* parameter kc² = 1 - k², because near the separatrix of the
-rigid body kc is tiny and k has lost its digits. `scipy.special.ellipj` takes k² and cannot be used there.
+All functions use the *complementary* parameter kc² = 1 - k², because near the separatrix of the rigid body kc is tiny
+and cannot be recovered from k. `scipy.special.ellipj`, which takes k², cannot be used near the separatrix.
 """
 
 from __future__ import annotations
@@ -11,21 +11,21 @@ import numpy as np
 from openmm_exactrb.mathematics.quaternions import Numbers
 from openmm_exactrb.support.types import Array
 
-#: Beyond this argument sech(v)² would leave the range of float64; on the separatrix nothing changes any more.
+#: Beyond this argument sech(v)² would leave the range of float64; on the separatrix, the functions are constant there.
 SEPARATRIX_LIMIT = 345.0
 #: Below this phase sn v = v, cn v = dn v = 1 to the last bit, and the recurrence in cot(phase) would overflow.
 TINY_PHASE = 1e-60
 #: Beyond this p three terms of the series of R_J in 1/p are exact to roundoff.
 LARGE_P = 1e11
-#: Where x and y are below it, and below it times p, their first order in R_J(x, y, 1, p) is below roundoff.
+#: If x and y are below this bound and below p times this bound, their first-order terms in R_J are below roundoff.
 TINY_SQUARE = 1e-60
 
 
 def jacobi(v: Array, kc2: Array) -> tuple[Array, Array, Array, Array]:
-    """Return Jacobi's sn, cn and dn of v (N,), and the integer nearest to v/2K, odd where cn < 0 (0 where kc = 0).
+    """Return Jacobi's sn, cn and dn of v (N,), and the integer nearest to v/2K (odd where cn < 0, 0 where kc = 0).
 
-    kc2 (N,) is the complementary parameter 1 - k², from 0 (tanh and sech) to 1 (sine and cosine). Small cn and dn keep
-    their relative accuracy.
+    kc2 (N,) is the complementary parameter 1 - k², from 0 (tanh and sech) to 1 (sine and cosine). Small values of cn
+    and dn keep their relative accuracy.
 
     Notes
     -----
@@ -72,15 +72,15 @@ def jacobi(v: Array, kc2: Array) -> tuple[Array, Array, Array, Array]:
 
 
 def third_kind(v: Array, kc2: Array, c: Array, b: Array, w: Array, cn: Array, dn: Array, half_turns: Array) -> Array:
-    """Integrate b w² / (1 + b w²) over v/c, where w = sn(v)/c, from 0 to v, past any number of half periods.
+    """Integrate b w² / (1 + b w²), where w = sn(v)/c, over v/c from v = 0, across any number of half periods.
 
     cn, dn and half_turns are the results of `jacobi` for v and kc2; b and c are not negative. If c is zero, v is zero
     and w is the limit of sn(v)/c.
 
     Notes
     -----
-    Within half a period the integral is b/3 w³ R_J(cn², dn², 1, 1 + b w²) with Carlson's R_J (DLMF 19.25.14), and
-    elementary if kc = 0.
+    Within half a period the integral is b/3 w³ R_J(cn², dn², 1, 1 + b w²) with Carlson's R_J (DLMF 19.25.14); if kc =
+    0, it is elementary.
     """
     separatrix = kc2 == 0.0
     reduced = np.where(cn < 0.0, -w, w)
@@ -101,14 +101,14 @@ def third_kind(v: Array, kc2: Array, c: Array, b: Array, w: Array, cn: Array, dn
 
 
 def carlson_rj(x: Array | float, y: Array, p: Array) -> Array:
-    """Return Carlson's R_J(x, y, 1, p) for 0 <= x, y <= 1 and positive p, (N,); x may be one number for all.
+    """Return Carlson's R_J(x, y, 1, p) for arrays (N,) with 0 <= x, y <= 1 and p > 0; x may also be a number.
 
     Notes
     -----
-    Uses scipy except in two limits. For large p, scipy omits the last term of 3/p (R_F - pi/(2 sqrt(p)) + 2 R_G/p),
-    which is up to 1e-13 of the whole; the next one is of order p^-3/2 (DLMF 19.27.11-13). If x y is not a normal
-    number, scipy's result is wrong by up to 1e-3; here the result is 3/p (log(4/(sqrt(x) + sqrt(y))) - R_C(1, p)),
-    which is R_J(x', x', 1, p) with x' between x and y.
+    SciPy is used except in two limits. For large p, SciPy omits the last term of 3/p (R_F - pi/(2 sqrt(p)) + 2 R_G/p),
+    which is up to 1e-13 of the result; the next term is of order p^-3/2 (DLMF 19.27.11-13). If the product x y is not a
+    normal number, SciPy's result is wrong by up to 1e-3; the result returned here is 3/p (log(4/(sqrt(x) + sqrt(y))) -
+    R_C(1, p)), which equals R_J(x', x', 1, p) for an x' between x and y.
     """
     from scipy.special import elliprc, elliprf, elliprg, elliprj  # here, for a short import of the package
 
@@ -128,9 +128,9 @@ def carlson_rj(x: Array | float, y: Array, p: Array) -> Array:
 def third_kind_short(w: Array, x: Array, z: Array, b: Array) -> Array:
     """Integrate b s² / ((1 + b s²) sqrt((1 - x s²)(1 - z s²))) over s from 0 to w, for abs(w) <= 0.3.
 
-    Gauss's rule with ten nodes on [-w, w], or six for w up to 0.1: the integrand is even, so half of them are
-    evaluated. With x, z and b in [0, 1] its singularities are at least 1 away from zero and the rule is exact to
-    roundoff.
+    The integral is computed by Gauss's rule with ten nodes on [-w, w], or with six nodes if all abs(w) <= 0.1; since
+    the integrand is even, it is evaluated at half of the nodes. For x, z and b in [0, 1], the singularities of the
+    integrand are at least 1 away from zero, and the rule is exact to roundoff.
     """
     nodes_squared, weights = RULES[0] if np.max(np.abs(w), initial=0.0) <= 0.1 else RULES[1]
     square = nodes_squared * (w * w)
@@ -153,9 +153,9 @@ RULES = (_even_rule(3), _even_rule(5))
 
 
 def sine_short(s: Numbers, x: Numbers, z: Numbers) -> Numbers:
-    """Return w = sn(v)/c at s = v/c for abs(s) <= 0.3, where dw/ds = sqrt((1 - x w²)(1 - z w²)), x and z in [0, 1].
+    """Return w = sn(v)/c at s = v/c for abs(s) <= 0.3, where dw/ds = sqrt((1 - x w²)(1 - z w²)).
 
-    The Taylor series to the eleventh order at s/2, and one duplication.
+    x and z are in [0, 1]. The Taylor series to eleventh order is evaluated at s/2, and the argument is then doubled.
     """
     half = 0.5 * s
     u = half * half
@@ -169,10 +169,11 @@ def sine_short(s: Numbers, x: Numbers, z: Numbers) -> Numbers:
 
 
 def third_kind_legendre(sn: Array, cn: Array, dn: Array, half_turns: Array, kc2: Array, nc: Array) -> Array:
-    """Legendre's incomplete integral of the third kind minus its argument, Pi(n; am u, k) - u, for any u.
+    """Return Legendre's incomplete integral of the third kind minus its argument, Pi(n; am u, k) - u, for any u.
 
-    This is the integral of n sn² / (1 - n sn²) from 0 to u, from the results of `jacobi` for u and positive kc2 = 1 -
-    k², and for positive nc = 1 - n: n/3 sn³ R_J(cn², dn², 1, 1 - n sn²) within half a period (DLMF 19.25.14).
+    This is the integral of n sn² / (1 - n sn²) from 0 to u; within half a period it is n/3 sn³ R_J(cn², dn², 1, 1 - n
+    sn²) (DLMF 19.25.14). The arguments are the results of `jacobi` for u, positive kc2 = 1 - k², and positive nc = 1 -
+    n.
     """
     sn2, cn2 = sn * sn, cn * cn
     folded = np.where(cn < 0.0, -sn, sn)

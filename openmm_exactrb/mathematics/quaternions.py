@@ -1,6 +1,6 @@
 """Unit quaternions (..., 4), scalar first: q = (w, x, y, z) maps body coordinates to space coordinates.
 
-Inner loops store them component-first, (4, N), with one contiguous row per component.
+Inner loops use component-first arrays (4, N), with one contiguous row per component.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from openmm_exactrb.support.types import Array
 #: An array, or in compiled code a scalar.
 Numbers: TypeAlias = Any
 
-#: Adding and subtracting it rounds numbers between -1 and 1 to multiples of 2^-26.
+#: Adding and then subtracting this number rounds numbers between -1 and 1 to multiples of 2^-26.
 TO_GRID = 1.5 * 2.0**26
 
 
 def multiply(p: Array, q: Array) -> Array:
-    """Return the product p q of component-first quaternions (4, N); q may be one for all, (4, 1)."""
+    """Return the products p q of component-first quaternions (4, N); q may be a single quaternion (4, 1)."""
     return np.array(product(*p, *q))
 
 
 def product(
     p0: Numbers, p1: Numbers, p2: Numbers, p3: Numbers, q0: Numbers, q1: Numbers, q2: Numbers, q3: Numbers
 ) -> tuple[Numbers, ...]:
-    """Return the components of p q, for arrays, and for scalars in compiled code."""
+    """Return the components of the product p q, for arrays or, in compiled code, for scalars."""
     return (
         p0 * q0 - p1 * q1 - p2 * q2 - p3 * q3,
         p0 * q1 + p1 * q0 + p2 * q3 - p3 * q2,
@@ -37,7 +37,7 @@ def product(
 
 
 def exponential(turn: Array) -> Array:
-    """Return the component-first quaternions (4, N) of rotations by vectors (3, N), in rad about their directions."""
+    """Return the quaternions (4, N) of rotations about vectors (3, N), whose lengths are the angles in rad."""
     half = 0.5 * np.sqrt(np.einsum("in,in->n", turn, turn))
     return np.concatenate([np.cos(half)[None], 0.5 * np.sinc(half / np.pi) * turn])
 
@@ -45,8 +45,8 @@ def exponential(turn: Array) -> Array:
 def renormalise(x: Array) -> Array:
     """Normalise component-first vectors that are unit up to roundoff, in place.
 
-    The correction x (1 - x.x)/2 is added: dividing by a square root rounds with a bias, which shows as a drift
-    over a million steps.
+    The correction x (1 - x.x)/2 is added, because the rounding errors of division by a square root have a bias, which
+    causes a drift over a million steps.
     """
     x += x * (0.5 * (1.0 - np.einsum("in,in->n", x, x)))
     return x
@@ -55,9 +55,9 @@ def renormalise(x: Array) -> Array:
 def norm_defect(q: Array) -> Array:
     """Return 1 - q.q of component-first unit quaternions (4, N), with an error of 1e-24.
 
-    In float64 the sum has an error of 1e-16 that depends on q. A norm corrected by this sum, and with it the force,
-    would follow the error, and the energy would drift. The squares of numbers on a grid of 2^-26 are exact, and so is
-    their sum.
+    A sum in float64 has an error of 1e-16 that depends on q. A norm that is corrected by this sum, and hence the force,
+    would depend on the error, and the energy would drift. The squares of numbers on a grid of 2^-26 are exact, and
+    their sum is also exact.
     """
     coarse = (q + TO_GRID) - TO_GRID
     rest = np.einsum("in,in->n", q - coarse, q + coarse)
@@ -68,7 +68,7 @@ def norm_defect(q: Array) -> Array:
 def rotation_matrix(q: ArrayLike) -> Array:
     """Return the rotation matrices Q (..., 3, 3) of unit quaternions (..., 4), from body to space coordinates.
 
-    Equation (17) of the paper.
+    This is equation (17) of the paper.
     """
     q = np.moveaxis(np.asarray(q, dtype=np.float64), -1, 0)
     return np.ascontiguousarray(np.moveaxis(matrix(q), (0, 1), (-2, -1)))
@@ -80,7 +80,7 @@ def matrix(q: Array) -> Array:
 
 
 def matrix_entries(w: Numbers, x: Numbers, y: Numbers, z: Numbers) -> tuple[Numbers, ...]:
-    """Return the nine entries of a rotation matrix row by row, for arrays, and for scalars in compiled code."""
+    """Return the nine entries of a rotation matrix row by row, for arrays or, in compiled code, for scalars."""
     x2, y2, z2 = x + x, y + y, z + z
     xx, yy, zz = x * x2, y * y2, z * z2
     xy, xz, yz = x * y2, x * z2, y * z2
@@ -91,7 +91,7 @@ def matrix_entries(w: Numbers, x: Numbers, y: Numbers, z: Numbers) -> tuple[Numb
 def from_matrix(Q: Array) -> Array:
     """Return component-first quaternions (4, N) of rotation matrices (3, 3, N).
 
-    S. W. Shepperd, J. Guid. Control 1, 223 (1978), doi:10.2514/3.55767b: divide by the largest component.
+    The method divides by the largest component: S. W. Shepperd, J. Guid. Control 1, 223 (1978), doi:10.2514/3.55767b.
     """
     d = np.stack([Q[0, 0], Q[1, 1], Q[2, 2]])
     trace = d.sum(axis=0)
@@ -111,14 +111,14 @@ def from_matrix(Q: Array) -> Array:
 
 
 def random(rng: np.random.Generator, n: int) -> Array:
-    """Return n orientations (n, 4), uniform over all rotations."""
+    """Return n random orientations (n, 4), uniformly distributed over all rotations."""
     q = rng.standard_normal((n, 4))
     unit: Array = q / np.linalg.norm(q, axis=1, keepdims=True)
     return unit
 
 
 def turned(Q: Array, sites: Array) -> Array:
-    """Return Q b for orientations (n, 3, 3) and sites (1, k, 3) or (n, k, 3), as (n, k, 3)."""
+    """Return the turned sites Q b (n, k, 3) for orientations (n, 3, 3) and sites (1, k, 3) or (n, k, 3)."""
     n, (shapes, k, _) = len(Q), sites.shape
     if shapes > 1:
         own: Array = np.einsum("nij,nsj->nsi", Q, sites)

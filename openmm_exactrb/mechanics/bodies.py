@@ -1,6 +1,6 @@
-"""Rigid bodies and single particles as one set of arrays, and their particles.
+"""Rigid bodies and single particles in one set of arrays, and the particles that form the bodies.
 
-Bodies of one kind are contiguous, and kinds that rotate precede single particles, which have no orientation. Of the
+Bodies of one kind are contiguous, and kinds that rotate precede single particles, which have no orientation. Among the
 single particles, the atoms of constrained, nonrigid clusters come first, in the order of
 `openmm_exactrb.mechanics.clusters`.
 """
@@ -19,23 +19,23 @@ from openmm_exactrb.mechanics.clusters import Clusters, ClusterState
 from openmm_exactrb.mechanics.state import BodyState, State
 from openmm_exactrb.support.types import Array, Indices
 
-# Of the smallest to the largest moment: the orientation of a thinner body is where its lightest particles are.
+# Ratio of the smallest to the largest moment below which a body is thin: light particles define its orientation.
 _THIN = 1e-6
 
 
 @dataclass(frozen=True)
 class Kind:
-    """Bodies of the same masses, and of one shape or of one each, in their principal axes about the centre of mass."""
+    """Bodies with the same masses and with common or individual shapes, in principal axes about the centre of mass."""
 
     particles: Indices  #: the k particles with mass of each of the n bodies (n, k)
     bodies: slice  #: their indices among all bodies
     masses: Array  #: of the particles (k,)
-    sites: Array  #: places of the particles, of all bodies (1, k, 3) or of each (n, k, 3)
+    sites: Array  #: positions of the particles, for all bodies (1, k, 3) or for each (n, k, 3)
     mass: float
-    inertia: Array  #: ascending moments (1, 3) or (n, 3): the first is 0 on a line, all are in a point
+    inertia: Array  #: ascending moments (1, 3) or (n, 3): the first is 0 for a linear body, all are 0 for a point
 
     def only(self, chosen: NDArray[np.bool_]) -> Kind:
-        """Return some of the bodies (n,), with unchanged numbers."""
+        """Return the kind with only the bodies of a mask (n,); the indices `bodies` are unchanged."""
         sites, inertia = (a if len(a) == 1 else a[chosen] for a in (self.sites, self.inertia))
         return replace(self, particles=self.particles[chosen], sites=sites, inertia=inertia)
 
@@ -51,13 +51,13 @@ class Kind:
 
     @property
     def weights(self) -> Array:
-        """Weights (k,) in the fit of an orientation: the masses, unless nearly all mass is on a line."""
+        """Weights (k,) for the fit of an orientation: the masses, or ones if nearly all mass is on a line."""
         thin = self.turns and not self.linear and bool((self.inertia[:, 0] < _THIN * self.inertia[:, 2]).any())
         return np.ones(len(self.masses)) if thin else self.masses
 
 
 class RigidBodies:
-    """The N rigid bodies of a System of `n_particles`, including the particles that belong to no rigid body.
+    """The N bodies of a System of `n_particles`: rigid bodies, and the particles that belong to no rigid body.
 
     The kinds of the atoms of constrained clusters follow the kinds that turn.
     """
@@ -71,28 +71,28 @@ class RigidBodies:
         self.n_turning = sum(len(kind.particles) for kind in self._turning)
         self.mass: Array = np.concatenate([np.zeros(0), *(np.full(len(kind.particles), kind.mass) for kind in kinds)])
         self.particles = _particles(kinds)
-        #: One for each body (N,).
+        #: The first particle of each body (N,).
         self.first_particle = self.particles.rows[self.particles.starts[:-1]]
         #: The atoms of clusters among all bodies.
         self.clustered = slice(self.n_turning, self.n_turning + len(self.clusters.mass))
-        #: Moments for the rotor (1, 3) or (K, 3): a linear body is a sphere that has no momentum along its axis.
+        #: Moments for the rotor (1, 3) or (K, 3): a linear body is treated as a sphere without momentum along its axis.
         self.inertia = _moments(self._turning)
         self._flexible = bool(len(self.clusters))
         self._kernels = kernels.load("bodies")
 
     @property
     def translational_freedom(self) -> int:
-        """Degrees of freedom of centres of mass and single particles, reduced by constraints."""
+        """Number of degrees of freedom of centres of mass and single particles, minus constraints of clusters."""
         return 3 * (len(self) - len(self.clusters.mass)) + self.clusters.degrees_of_freedom
 
     @property
     def rotational_freedom(self) -> int:
-        """Rotational degrees of freedom."""
+        """Number of rotational degrees of freedom."""
         return sum((3 - kind.linear) * len(kind.particles) for kind in self._turning)
 
     @property
     def principal_moments(self) -> Array:
-        """Principal moments of the rotating bodies, (3, K): 0 along the axis of a linear body."""
+        """Principal moments (3, K) of the rotating bodies, which are 0 along the axis of a linear body."""
         rows = [np.broadcast_to(kind.inertia, (len(kind.particles), 3)) for kind in self._turning]
         return np.ascontiguousarray(np.concatenate([np.zeros((0, 3)), *rows]).T)
 
@@ -102,13 +102,13 @@ class RigidBodies:
 
     @property
     def owner(self) -> Indices:
-        """The body of each particle (n_particles,), or -1."""
+        """The index of the body of each particle (n_particles,), or -1 for a particle that belongs to no body."""
         owner = np.full(self.n_particles, -1)
         owner[self.particles.rows] = np.repeat(np.arange(len(self)), np.diff(self.particles.starts))
         return owner
 
     def touched(self, particles: Indices) -> NDArray[np.bool_]:
-        """Return a mask (N,) of the bodies and atoms of clusters that contain one of the particles."""
+        """Return a mask (N,) of the bodies, and of all atoms of the clusters, that contain one of the particles."""
         chosen = np.zeros(len(self) + 1, dtype=bool)  # the last one is no body
         chosen[self.owner[particles]] = True
         for _, columns in self.clusters.columns():
@@ -117,9 +117,9 @@ class RigidBodies:
         return chosen[:-1]
 
     def chosen(self, bodies: NDArray[np.bool_], number: Indices, n_particles: int) -> RigidBodies:
-        """Return selected bodies (N,), with whole clusters only, as a new set in the same order.
+        """Return the bodies of a mask (N,), which selects whole clusters, as a new set in the same order.
 
-        Their particles are renumbered (n_particles,), among a given number of particles.
+        `number` contains the new index of each particle, and `n_particles` is the new number of particles.
         """
         kinds: list[Kind] = []
         start = 0
@@ -137,7 +137,7 @@ class RigidBodies:
         return out
 
     def velocities(self, state: BodyState, out: Array) -> Array:
-        """Write the velocities of all massive particles into `out` (n_particles, 3)."""
+        """Write the velocities of all particles with mass into `out` (n_particles, 3)."""
         V, omega = self.tangent(state).P / self.mass, state.m / self.inertia.T
         self._kernels.move(V, omega, state.q, self.particles, out)
         return out
@@ -162,7 +162,8 @@ class RigidBodies:
     ) -> BodyState:
         """Return a state with momenta drawn at kT (kJ/mol), optionally with the centre of mass at rest.
 
-        The projection, which is orthogonal in the mass metric, yields the canonical distribution on the constraints.
+        Momenta are projected onto the constraints; the projection, which is orthogonal in the mass metric, yields the
+        canonical distribution on the constraints.
         """
         P = np.sqrt(kT * self.mass) * rng.standard_normal(state.P.shape)
         if at_rest:
@@ -174,9 +175,9 @@ class RigidBodies:
         return self.tangent(state._replace(P=P, m=m))
 
     def kinetic_energies(self, state: BodyState, velocity: Array | None = None) -> tuple[float, float]:
-        """Return the translational and rotational kinetic energies in kJ/mol, of momenta along the constraints.
+        """Return translational and rotational kinetic energies (kJ/mol) of momenta projected onto the constraints.
 
-        With a velocity (3,) in nm/ps, energies are those of the motion relative to it.
+        If a velocity (3,) in nm/ps is given, the energies are those of the motion relative to it.
         """
         P = self.tangent(state).P
         if velocity is not None:
@@ -190,7 +191,7 @@ class RigidBodies:
         return velocity
 
     def name(self, body: int) -> str:
-        """Describe a body, or its cluster, by its particles."""
+        """Return a description of a body, or of its cluster, that lists its particles."""
         for of_clusters, columns in self.clusters.columns():
             (cluster,) = np.nonzero((columns == body - self.n_turning).any(axis=1))
             if len(cluster):
@@ -202,7 +203,7 @@ class RigidBodies:
 
 
 class Part:
-    """Selected bodies, as returned by `RigidBodies.chosen`, and their mask `chosen` (N,)."""
+    """Bodies that `RigidBodies.chosen` has selected, and the mask `chosen` (N,) of the selection."""
 
     def __init__(self, bodies: RigidBodies, chosen: NDArray[np.bool_]) -> None:
         self.bodies = bodies
@@ -211,11 +212,11 @@ class Part:
         self._places = self.columns, self.columns, self.turning, self.turning
 
     def of(self, state: State) -> State:
-        """Return the state of these bodies from that of all bodies."""
+        """Return the state of these bodies, given the state of all bodies."""
         return State(*(np.ascontiguousarray(a[..., i]) for a, i in zip(state, self._places, strict=True)))
 
     def into(self, state: State, own: State) -> State:
-        """Return the state of all bodies with that of these bodies replaced."""
+        """Return the state of all bodies in which the state of these bodies is replaced by `own`."""
         after = State(*(a.copy() for a in state))
         for a, b, i in zip(after, own, self._places, strict=True):
             a[..., i] = b
@@ -223,7 +224,7 @@ class Part:
 
 
 def _particles(kinds: Sequence[Kind]) -> Particles:
-    """Return the particles of bodies, in the order of these."""
+    """Return the particles of all bodies, in the order of the bodies."""
     sizes, rows, sites = [np.zeros(1, dtype=np.int64)], [np.zeros(0, dtype=np.int64)], [np.zeros((0, 3))]
     for kind in kinds:
         n, k = kind.particles.shape
@@ -234,7 +235,7 @@ def _particles(kinds: Sequence[Kind]) -> Particles:
 
 
 def _moments(turning: Sequence[Kind]) -> Array:
-    """Return the moments for the rotor, in one row if they are the same for all bodies."""
+    """Return the moments (K, 3) for the rotor, or (1, 3) if they are the same for all bodies."""
     if not turning:
         return np.ones((1, 3))
     moments = [np.where(kind.linear, kind.inertia[:, 2:], kind.inertia) for kind in turning]

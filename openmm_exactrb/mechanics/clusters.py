@@ -1,9 +1,10 @@
 """Clusters of particles with distance constraints that do not make them rigid.
 
-They move freely along the geodesics of their constraints: `Clusters.drift` follows these to roundoff, for any time, by
-the power series of `openmm_exactrb.kernels.compiled.clusters`, which needs numba. Any graph of constraints is
-supported; redundant constraints are omitted if they are consistent. The matrix is factorised with a fixed sparse
-pattern, so that the cost for a tree is linear in the number of constraints.
+Without forces, these particles move along the geodesics of their constraints. `Clusters.drift` follows a geodesic to
+roundoff, over any time, with the power series of `openmm_exactrb.kernels.compiled.clusters`, which needs numba. Any
+graph of constraints is supported; redundant constraints are omitted if they are consistent. The matrix of the
+constraints is factorised with a fixed sparse pattern, so that the cost for a tree is linear in the number of
+constraints.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from openmm_exactrb.kernels.records import Graph
 from openmm_exactrb.mechanics.elimination import eliminated, factor
 from openmm_exactrb.support.types import Array, Indices
 
-#: Constraints that a cluster may have.
+#: The largest number of constraints in a cluster.
 LARGEST = 3000
 # Constraints less independent than this, as `ClusterKind.most_dependent` measures, are an error.
 _INDEPENDENT = 1e-9
@@ -29,24 +30,25 @@ _INDEPENDENT = 1e-9
 
 @dataclass(frozen=True)
 class ClusterKind:
-    """Clusters of one graph, with the same masses and lengths."""
+    """Clusters with the same graph of constraints, the same masses and the same lengths."""
 
     particles: Indices  #: the n particles of each of the N clusters (N, n)
     masses: Array  #: in amu (n,)
     pairs: Indices  #: the two members of each constraint, by their indices in `particles` (m, 2)
     lengths: Array  #: in nm (m,)
-    #: The members (k, 2) and lengths (k,) of constraints that follow from the others, and so take no freedom.
+    #: The members (k, 2) and lengths (k,) of constraints that follow from the others, and thus remove no degree of
+    #: freedom.
     implied: Indices = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
     implied_lengths: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def freedom(self) -> int:
-        """Degrees of freedom of a cluster."""
+        """Number of degrees of freedom of a cluster."""
         return 3 * len(self.masses) - len(self.pairs)
 
     @cached_property
     def graph(self) -> Graph:
-        """The graph for the kernels, with constraints in an order that keeps the factor sparse."""
+        """The graph for the kernels, with constraints in an order that keeps their Cholesky factor sparse."""
         order, rows, columns, starts, left, right = eliminated(self._neighbours())
         row_of = np.repeat(np.arange(len(order)), np.diff(rows))
         return Graph(
@@ -62,7 +64,7 @@ class ClusterKind:
         )
 
     def _coupling(self, c: Indices, d: Indices) -> Array:
-        """Return entries B_cd = sum_a s_ca s_da / m_a of the matrix of constraints, s the signs of their members."""
+        """Return entries B_cd = sum_a s_ca s_da / m_a of the matrix of constraints; s_ca is the sign of atom a in c."""
         (i, j), inverse = self.pairs.T, 1.0 / self.masses
         first = np.where(i[c] == i[d], 1.0, 0.0) - (i[c] == j[d])
         second = np.where(j[c] == j[d], 1.0, 0.0) - (j[c] == i[d])
@@ -70,7 +72,7 @@ class ClusterKind:
         return coupling
 
     def _neighbours(self) -> list[set[int]]:
-        """Return for each constraint the others that share an atom with it."""
+        """Return, for each constraint, the set of other constraints that share an atom with it."""
         of_atom: list[set[int]] = [set() for _ in self.masses]
         for c, ends in enumerate(self.pairs.tolist()):
             for atom in ends:
@@ -78,13 +80,13 @@ class ClusterKind:
         return [(of_atom[i] | of_atom[j]) - {c} for c, (i, j) in enumerate(self.pairs.tolist())]
 
     def name(self, cluster: int) -> str:
-        """Describe a cluster by its particles."""
+        """Return a description of a cluster that lists its particles."""
         members = [str(k) for k in self.particles[cluster]]
         shown = members if len(members) < 9 else [*members[:4], "...", *members[-2:]]
         return f"the cluster of particles {', '.join(shown)}"
 
     def missed(self, x: Array) -> Array:
-        """Return the errors (N, m + k) in nm of constraints at positions (N, n, 3), implied ones last."""
+        """Return the errors (N, m + k) of constrained lengths at positions (N, n, 3), in nm, implied ones last."""
         i, j = np.concatenate([self.pairs, self.implied]).T
         apart = np.linalg.norm(x[:, i] - x[:, j], axis=2)
         return np.asarray(np.abs(apart - np.concatenate([self.lengths, self.implied_lengths])))
@@ -93,8 +95,8 @@ class ClusterKind:
         """Return the independence of the constraints at positions (N, n, 3), and the most dependent constraint.
 
         Independence (N,) is the smallest squared norm, in the mass metric, of the part of a constraint's gradient that
-        is orthogonal to those before it in `graph`; 0 means that it follows from them. The constraint (N,) is its index
-        in `graph`.
+        is orthogonal to the gradients of the preceding constraints in `graph`; 0 means that the constraint follows from
+        them. The most dependent constraint (N,) is given by its index in `graph`.
         """
         r = (x[:, self.graph.pairs[:, 0]] - x[:, self.graph.pairs[:, 1]]).transpose(2, 1, 0)
         r /= np.maximum(np.sqrt((r * r).sum(axis=0)), np.finfo(float).tiny)
@@ -106,10 +108,10 @@ class ClusterKind:
         return rest.min(axis=0), rest.argmin(axis=0)
 
     def independent(self) -> NDArray[np.bool_]:
-        """Return a mask (m,) of the constraints that do not follow from those before them at generic positions.
+        """Return a mask (m,) of the constraints that do not follow from preceding constraints at generic positions.
 
-        Only members with at least four constraints each among each other can have redundant ones: a member with fewer
-        can always be positioned, and is ignored.
+        Redundant constraints occur only among members that each have at least four constraints to one another. A member
+        with fewer constraints can always be positioned, and is ignored.
         """
         several = np.ones(len(self.masses), dtype=np.bool_)
         few = several
@@ -125,7 +127,7 @@ class ClusterKind:
             gradient[i] = (x[i] - x[j]) / np.linalg.norm(x[i] - x[j])
             gradient[j] = -gradient[i]
             rest = gradient.ravel()
-            for _ in range(2):  # the second time against rounding
+            for _ in range(2):  # repeated to reduce roundoff
                 rest = rest - found.T @ (found @ rest)
             kept[c] = rest @ rest >= _INDEPENDENT
             if kept[c]:
@@ -135,8 +137,8 @@ class ClusterKind:
     def check_kept(self) -> None:
         """Raise ValueError if a member is massless, a length is not positive, or there are too many constraints.
 
-        It is also raised if a constraint follows from the others at generic positions, as tested for three random
-        configurations.
+        The error is also raised if a constraint follows from the others at generic positions, which is tested for three
+        random configurations.
         """
         bad = ~((self.masses > 0.0) & np.isfinite(self.masses))
         if bad.any():
@@ -165,7 +167,7 @@ class ClusterKind:
             )
 
     def check_singular(self, x: Array, chosen: NDArray[np.bool_]) -> None:
-        """Raise ValueError if a constraint follows from the others at positions (N, n, 3) of chosen clusters (N,)."""
+        """Raise ValueError if a constraint of a cluster in the mask (N,) is redundant at the positions (N, n, 3)."""
         independence, constraint = self.most_dependent(x)
         independence = np.where(chosen, independence, 1.0)
         if (independence < _INDEPENDENT).any():
@@ -180,7 +182,7 @@ class ClusterKind:
 
 
 class ClusterState(NamedTuple):
-    """Places (nm) and momenta (amu nm/ps) of the atoms of all clusters, as sums high + low (2, 3, M)."""
+    """Positions (nm) and momenta (amu nm/ps) of the atoms of all clusters, as double-doubles (2, 3, M)."""
 
     x: Array
     p: Array
@@ -209,17 +211,17 @@ class Clusters:
 
     @property
     def degrees_of_freedom(self) -> int:
-        """Number of coordinates minus constraints; motions of the whole System are not subtracted."""
+        """Number of coordinates minus number of constraints; overall motions of the System are not subtracted."""
         return sum(kind.freedom * len(kind.particles) for kind in self.kinds)
 
     def columns(self) -> Iterable[tuple[ClusterKind, Indices]]:
-        """Yield the kinds and, for each, the columns (N, n) of the atoms of its clusters."""
+        """Yield each kind with the columns (N, n) of the atoms of its clusters."""
         for kind, first in zip(self.kinds, self.first.tolist(), strict=False):
             count, n = kind.particles.shape
             yield kind, first + np.arange(count)[:, None] + count * np.arange(n)
 
     def chosen(self, atoms: NDArray[np.bool_], number: Indices) -> Clusters:
-        """Return the clusters of selected columns (M,), with renumbered particles."""
+        """Return the clusters whose atoms are selected by a mask (M,), with particles renumbered by `number`."""
         kinds = []
         for kind, columns in self.columns():
             own = atoms[columns].all(axis=1)
@@ -228,10 +230,10 @@ class Clusters:
         return Clusters(kinds)
 
     def drift(self, state: ClusterState, tau: float) -> ClusterState:
-        """Return the state after free motion for a time, of any sign.
+        """Return the state after free motion over a time tau (ps) of any sign.
 
-        Momenta are projected first, as by `tangent`. A cluster with a non-finite number becomes nan; other clusters are
-        not affected.
+        Momenta are first projected, as by `tangent`. All results of a cluster with a non-finite number are nan; other
+        clusters are not affected.
         """
         return self._advanced(state, tau, True)
 
@@ -240,7 +242,7 @@ class Clusters:
         return state._replace(p=self._advanced(state, 0.0, False).p)
 
     def _advanced(self, state: ClusterState, tau: float, moves: bool) -> ClusterState:
-        """Return the state after free motion for a time, or with projected momenta only."""
+        """Return the state after free motion over a time, or only with projected momenta unless `moves`."""
         after = ClusterState(np.empty(state.x.shape), np.empty(state.p.shape))
         for kind, first in zip(self.kinds, self.first.tolist(), strict=False):
             self._advance(*state, tau, moves, first, len(kind.particles), kind.graph, *after)
@@ -253,9 +255,10 @@ def _anywhere(n: int) -> Array:
 
 
 def sorted_into_kinds(groups: Iterable[ClusterKind]) -> Clusters:
-    """Return clusters sorted into kinds, by their first particles: equal stars form one kind, whatever their order.
+    """Return clusters grouped into kinds; stars that differ only in the order of their atoms form one kind.
 
-    A ValueError is raised if constraints cannot be satisfied: see `ClusterKind.check_kept`.
+    Within a kind, clusters are sorted by their first particles. A ValueError is raised if constraints cannot be
+    satisfied: see `ClusterKind.check_kept`.
     """
     kinds: dict[bytes, list[ClusterKind]] = {}
     for group in map(_in_canonical_order, groups):
@@ -272,9 +275,9 @@ def sorted_into_kinds(groups: Iterable[ClusterKind]) -> Clusters:
 
 
 def _in_canonical_order(group: ClusterKind) -> ClusterKind:
-    """Return clusters with ordered members: for a star the centre, then rays by mass and length; otherwise unchanged.
+    """Return clusters with the members of a star in canonical order: the centre, then the rays by mass and length.
 
-    Constraints are in the order of their members.
+    The order of the members of other clusters is unchanged. Constraints are sorted by their members.
     """
     m, n = len(group.pairs), len(group.masses)
     order, degree = np.arange(n), np.bincount(group.pairs.ravel(), minlength=n)

@@ -1,4 +1,4 @@
-"""Divergence and overheating: unphysical states in the step that produces them, and temperatures that stay too high."""
+"""Detection of unphysical states, in the step that produces them, and of temperatures that stay too high."""
 
 from __future__ import annotations
 
@@ -14,18 +14,19 @@ from openmm_exactrb.mechanics.state import BodyState, State
 from openmm_exactrb.support.types import Array
 from openmm_exactrb.support.warn import warn
 
-#: The speed of light in nm/ps: OpenMM need not be asked for forces on bodies that are faster.
+#: The speed of light in nm/ps: forces on faster bodies are not evaluated.
 LIGHT = 299_792.458
-#: Energies are compared when the squares of momenta are this many times those of a state that was found good.
+#: Energies are compared if the sum of squared momenta has grown by more than this factor since the last valid state.
 GROWN = 1.5
-# A rise of the total energy by this part of the kinetic energy, before or after, is no integration error of a run that
-# makes sense. A step of one long vibration may take most of its kinetic energy away.
+# A rise of the total energy by more than this fraction of the kinetic energy, before or after the step, is larger than
+# any integration error of a meaningful run. A long step may remove most of the kinetic energy of a vibration.
 _GAINED = 0.5
-# kJ/mol of kinetic energy in the mean of bodies with bonds between them: bonds break with a fifth of it.
+# Largest mean kinetic energy of bonded bodies in kJ/mol: a fifth of this energy breaks a bond.
 _HOTTEST = 2500.0
-# Of more numbers, BLAS shares a sum among threads, which costs milliseconds where others use the processor.
+# BLAS distributes the sum of more numbers over threads, which costs milliseconds on a busy processor.
 _FEW = 10_000
-# Rounding of energies in single precision, and kJ/mol per body that say nothing: a start at rest has less.
+# Relative rounding error of energies in single precision, and an insignificant energy in kJ/mol per body, which exceeds
+# that of a start at rest.
 _ROUNDED, _NOTHING = 1e-4, 1e-6
 #: What the Context holds after a step or call that diverged, and what to do.
 ADVICE = (
@@ -33,10 +34,10 @@ ADVICE = (
     "the energy first"
 )
 
-# A mean over so many samples, each a relaxation time of the thermostat or more after the last one, and the times at the
-# begin that are left out: heat of the start is gone after a few of them.
+# Number of samples in a mean, which are at least one relaxation time of the thermostat apart, and number of relaxation
+# times omitted at the start, a few of which suffice to remove the initial heat.
 _SAMPLES, _LEFT_OUT = 100, 20
-# Part by which the mean has to be too high, and by how many standard errors.
+# A warning requires a mean that is too high by this fraction plus this number of standard errors.
 _TOO_HOT, _ERRORS = 0.05, 4.0
 
 
@@ -55,9 +56,10 @@ class StepSizeWarning(UserWarning):
 class DivergenceCheck:
     """Checks the states of a run for non-finite numbers and for a rise of the total energy.
 
-    potential(state) -> kJ/mol is evaluated only if momenta have grown strongly; box() -> the vectors (3, 3) of the
-    periodic box in nm, or None. Energies are compared if forces are known to conserve them and the user has not
-    disabled the comparison.
+    `potential` is a function of a state that returns kJ/mol; it is called only if squared momenta have grown by the
+    factor `GROWN`. `box` is a function that returns the vectors (3, 3) of the periodic box in nm, or None. `conserves`
+    states whether energies are compared: forces must be known to conserve energy, and the user must not have disabled
+    the comparison.
     """
 
     def __init__(
@@ -68,8 +70,8 @@ class DivergenceCheck:
         conserves: bool = True,
     ) -> None:
         self._bodies, self._potential, self._box, self._conserves = bodies, potential, box, conserves
-        self._fastest = float(np.min(LIGHT * bodies.mass, initial=np.inf)) ** 2  # no body is, below this sum of P²
-        #: kJ/mol of kinetic energy in the mean of bodies within inner steps, beyond which a step has diverged.
+        self._fastest = float(np.min(LIGHT * bodies.mass, initial=np.inf)) ** 2  # below this sum of P², no body is
+        #: Mean kinetic energy of bodies within inner steps, in kJ/mol, above which a step has diverged.
         self.hottest = _HOTTEST if conserves else np.inf
         self._good = 0.0, 0.0  # squares of linear and angular momenta
         self._number, self._time = 0, 0.0
@@ -81,7 +83,7 @@ class DivergenceCheck:
         self._good = _square(state.P), _square(state.m)
 
     def keep_from(self, state: State) -> None:
-        """Compare later energies with that of a state."""
+        """Store the state with whose energy later energies are compared."""
         self._since = state
 
     def enter(self, number: int, time: float, state: State) -> None:
@@ -89,20 +91,20 @@ class DivergenceCheck:
         self._number, self._time, self._before = number, time, state
 
     def finite(self, state: State) -> tuple[float, float]:
-        """Return the squares of linear and angular momenta; raise NonFiniteError if OpenMM cannot evaluate forces."""
+        """Return the sums of squared linear and angular momenta; raise NonFiniteError if forces cannot be evaluated."""
         if not _square(state.R) + _square(state.q) < np.inf:  # so that nan is not
             self._raise_if_lost(state)
         return self.finite_momenta(state)
 
     def finite_momenta(self, state: State) -> tuple[float, float]:
-        """Return the squares of linear and angular momenta; raise NonFiniteError if bodies cannot move with them."""
+        """Return the sums of squared linear and angular momenta; raise NonFiniteError if bodies cannot move."""
         P, m = _square(state.P), _square(state.m)
         if not (self._fastest >= P and m < np.inf):
             self._raise_if_lost(state)
         return P, m
 
     def _raise_if_lost(self, state: State) -> None:
-        """Raise NonFiniteError if the squares of a body are not finite, or a body is faster than light."""
+        """Raise NonFiniteError with the names of the bodies that `lost` selects, if there are any."""
         bad = np.flatnonzero(lost(self._bodies, state.rounded))
         if len(bad):
             names = "; ".join(self._bodies.name(int(b)) for b in bad[:3])
@@ -110,7 +112,10 @@ class DivergenceCheck:
             raise NonFiniteError(self._message(f"not finite or faster than light: {names}{more}"))
 
     def of_inner_steps(self, bodies: RigidBodies) -> Callable[[State], None]:
-        """Return a check of inner steps on selected bodies; a far too long outer step has thousands of them."""
+        """Return a check of selected bodies after inner steps.
+
+        It is needed because an outer step that is far too long has thousands of inner steps.
+        """
         half_mass, half_inertia = 0.5 / bodies.mass, 0.5 / bodies.inertia.T
 
         def check(state: State) -> None:
@@ -121,12 +126,12 @@ class DivergenceCheck:
         return check
 
     def judge_inner_steps(self, mean: float) -> None:
-        """Raise IntegrationError if the energy of a body in inner steps exceeds that of the hottest ones, in kJ/mol."""
+        """Raise IntegrationError if the mean kinetic energy (kJ/mol) of bodies within inner steps exceeds `hottest`."""
         if not mean <= self.hottest:  # so that nan is too hot
             raise IntegrationError(self._message(f"{mean:.3g} kJ/mol in each body within the inner steps"))
 
     def leave(self, state: State) -> None:
-        """Raise IntegrationError if the state at the end of a step has diverged from that before it."""
+        """Raise IntegrationError if the state at the end of a step shows that the run has diverged."""
         (P, m), (good_P, good_m) = self.finite(state), self._good
         if self._conserves and (GROWN * good_P < P or m > GROWN * good_m):
             assert self._since is not None
@@ -135,7 +140,7 @@ class DivergenceCheck:
             self._good = max(P, good_P), max(m, good_m)
 
     def outside(self, state: State, after: State) -> None:
-        """Check a state before a thermostat; energies are compared with the state after it."""
+        """Check the state before a thermostat acts; later energies are compared with that of the state after it."""
         if after is not state:
             self.leave(state)
             self._before = self._since = after
@@ -153,7 +158,10 @@ class DivergenceCheck:
 
 
 def gained(n_bodies: int, then: tuple[float, float], now: tuple[float, float]) -> str | None:
-    """Return a description of a jump between two pairs of kinetic and total energy (kJ/mol), or None."""
+    """Return a description of a jump of the total energy, or None if there is no jump.
+
+    `then` and `now` are pairs of kinetic and total energy in kJ/mol.
+    """
     (kinetic_then, energy_then), (kinetic, energy) = then, now
     gain = energy - energy_then
     noise = _ROUNDED * (abs(energy) + abs(energy_then)) + _NOTHING * n_bodies
@@ -166,7 +174,7 @@ def gained(n_bodies: int, then: tuple[float, float], now: tuple[float, float]) -
 
 
 def lost(bodies: RigidBodies, state: BodyState) -> NDArray[np.bool_]:
-    """Return a mask (N,) of bodies whose squares are not finite, or that are faster than light."""
+    """Return a mask (N,) of bodies that are faster than light or have non-finite squares of coordinates or momenta."""
     which = np.asarray(~np.isfinite((state.R * state.R).sum(axis=0)))
     which |= ~((state.P * state.P).sum(axis=0) <= (LIGHT * bodies.mass) ** 2)  # so that nan is lost
     which[: bodies.n_turning] |= ~np.isfinite((state.q * state.q).sum(axis=0) + (state.m * state.m).sum(axis=0))
@@ -174,7 +182,7 @@ def lost(bodies: RigidBodies, state: BodyState) -> NDArray[np.bool_]:
 
 
 def _square(x: Array) -> float:
-    """Return the sum of the squares of double-doubles, rounded."""
+    """Return the sum of the squares of double-doubles (2, k, N), rounded to float64."""
     high = x[0]
     if high.size < _FEW:
         return float(np.vdot(high, high))
@@ -184,8 +192,9 @@ def _square(x: Array) -> float:
 class Overheating:
     """Monitors the temperatures of a run with a thermostat, and warns once.
 
-    Translation and rotation of rigid bodies, and all other particles, are monitored separately, because a solute may be
-    hotter than its water. kT (kJ/mol) is that of the thermostat, and relaxation (ps) the time in which it removes heat.
+    The translation of rigid bodies, their rotation, and all other particles are monitored separately, because a solute
+    may be hotter than its water. `kT` (kJ/mol) is given by the temperature of the thermostat, and `relaxation` (ps) is
+    the time in which the thermostat removes heat.
     """
 
     def __init__(self, bodies: RigidBodies, kT: float, relaxation: float) -> None:
@@ -196,11 +205,11 @@ class Overheating:
         self.begin(0.0)
 
     def begin(self, time: float) -> None:
-        """Start a mean at the time (ps) at which the state was set."""
+        """Start a new mean at the time (ps) at which the state was set."""
         self._next, self._sums, self._count = time + _LEFT_OUT * self._relaxation, np.zeros(3), 0
 
     def see(self, time: float, state: State) -> None:
-        """Sample the state at a time (ps) if a sample is due, and issue a StepSizeWarning once."""
+        """Sample the state at a time (ps) if a sample is due; issue at most one StepSizeWarning."""
         if self._told or time < self._next:
             return
         if not self._count:

@@ -1,4 +1,4 @@
-"""The sparse Cholesky factor of the matrix of constraints: its pattern, found once for a kind, and its entries."""
+"""The sparse Cholesky factor of the matrix of constraints: its pattern, found once for each kind, and its entries."""
 
 from __future__ import annotations
 
@@ -12,20 +12,22 @@ from openmm_exactrb.support.types import Array, Indices
 
 
 def eliminated(coupled: Sequence[set[int]]) -> tuple[Indices, Indices, Indices, Indices, Indices, Indices]:
-    """Find an order of elimination with little fill, and all products of the factorisation.
+    """Find an elimination order with little fill-in, and list all products of the factorisation.
 
-    The next row is always one coupled to the fewest others; a chain of constraints, or any tree, then has no fill. D.
-    J. Rose, in Graph Theory and Computing (1972), 183. `coupled` contains the nonzero off-diagonal columns of each row
-    of a symmetric matrix.
+    The next row is always one that is coupled to the fewest others, so that a chain of constraints, or any tree, has no
+    fill-in: D. J. Rose, in Graph Theory and Computing (1972), 183. `coupled` contains the nonzero off-diagonal columns
+    of each row of a symmetric matrix.
 
     Returns
     -------
     order : (m,) array
-        The row of the matrix for each row of the factor.
+        The row of the matrix that corresponds to each row of the factor.
     rows, columns : (m + 1,) and (e,) arrays
-        Start of the entries of each row of the factor, the diagonal last, and their columns.
+        Start of the entries of each row of the factor, of which the diagonal entry is the last, and column of each
+        entry.
     starts, left, right : (e + 1,) array, arrays
-        Start of the products of each entry e, and their entries: (A_e - sum left right) / diagonal of the column.
+        Start of the products of each entry e, and the two entries of each product: entry e is (A_e - sum left right) /
+        diagonal of the column.
     """
     order, below = _minimum_degree(coupled)
     rows, starts = [0], [0]
@@ -47,7 +49,7 @@ def eliminated(coupled: Sequence[set[int]]) -> tuple[Indices, Indices, Indices, 
 
 
 def _minimum_degree(coupled: Sequence[set[int]]) -> tuple[list[int], list[set[int]]]:
-    """Return the order, and the columns left of the diagonal of each row of the factor."""
+    """Return the order, and the columns of the entries to the left of the diagonal in each row of the factor."""
     neighbours = {c: set(others) for c, others in enumerate(coupled)}
     waiting = [(len(others), c) for c, others in neighbours.items()]
     heapq.heapify(waiting)
@@ -56,7 +58,7 @@ def _minimum_degree(coupled: Sequence[set[int]]) -> tuple[list[int], list[set[in
     while waiting:
         degree, chosen = heapq.heappop(waiting)
         if degree != len(neighbours.get(chosen, ())) or chosen not in neighbours:
-            continue  # it has had another degree since
+            continue  # outdated: the degree has changed
         clique = neighbours.pop(chosen)
         for c in clique:
             neighbours[c] |= clique - {c}
@@ -68,7 +70,7 @@ def _minimum_degree(coupled: Sequence[set[int]]) -> tuple[list[int], list[set[in
 
 
 def factor(graph: Graph, r: Array) -> list[Array]:
-    """Return the Cholesky factor of A, entry by entry (N,), with its diagonal inverted."""
+    """Return the entries (N,) of the Cholesky factors of A for vectors r (3, m, N), with inverted diagonal entries."""
     A: list[Array] = []
     for c in range(len(graph.pairs)):
         for e in range(graph.rows[c], graph.rows[c + 1]):

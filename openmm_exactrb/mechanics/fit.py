@@ -1,4 +1,4 @@
-"""The state of bodies and constrained clusters from the positions and velocities of their particles."""
+"""Calculation of the state of bodies and constrained clusters from positions and velocities of their particles."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from openmm_exactrb.mechanics.state import BodyState
 from openmm_exactrb.support.types import Array, Indices
 from openmm_exactrb.support.warn import warn
 
-#: Positions further than this from a rigid body, in nm, are an error: they are of another molecule, or of two halves.
+#: Larger deviations from a rigid shape, in nm, are an error: the positions are those of another or a split molecule.
 REFUSED = 0.02
-#: Up to this distance, in nm, positions are corrected without a warning.
+#: Deviations up to this distance, in nm, are corrected without a warning.
 RIGIDITY = 1e-4
-# A body whose places about its centre changed by less than this, in nm, was shifted and not turned.
+# A body whose positions relative to its centre changed by less than this, in nm, was translated but not rotated.
 _SHIFTED = 1e-9
-# Newton's steps onto the constraints: each squares what is left, from a fifth of a bond to less than a rounding.
+# Newton steps onto the constraints: each squares the error, from a fifth of a bond to below roundoff.
 _NEWTON = 8
-# Lengths that are missed by more than this after them, in nm, are not to be reached from there.
+# If the error of a length after these steps exceeds this, in nm, the constraints cannot be satisfied.
 _REACHED = 1e-9
 
 
@@ -32,12 +32,13 @@ class ShapeWarning(UserWarning):
 
 
 def fit(bodies: RigidBodies, x: Array, v: Array) -> BodyState:
-    """Find the state of bodies from positions (nm) and velocities (nm/ps) of all particles (n_particles, 3).
+    """Return the state of bodies with given positions (nm) and velocities (nm/ps) of all particles (n_particles, 3).
 
     A ValueError is raised if numbers are not finite, positions deviate by more than `REFUSED` from a rigid body, or a
-    constraint of a cluster follows from the others at these positions or cannot be satisfied from them. A ShapeWarning
-    is issued if positions deviate by more than `RIGIDITY`; the best fit keeps centre and orientation. Constraints of
-    nonrigid clusters may deviate by as much; their atoms are moved along the constraints.
+    constraint of a cluster follows from the others at these positions or cannot be satisfied from them. The state is
+    that of the best fit, which preserves centres and orientations; a ShapeWarning is issued if positions deviate by
+    more than `RIGIDITY`. The same limits hold for the constraints of nonrigid clusters, whose atoms are moved onto the
+    constraints.
     """
     every = np.arange(len(bodies))
     nowhere = np.zeros((3, len(bodies)))
@@ -46,9 +47,9 @@ def fit(bodies: RigidBodies, x: Array, v: Array) -> BodyState:
 
 
 def refit(bodies: RigidBodies, known: BodyState, x: Array, v: Array, moved: Indices, pushed: Indices) -> BodyState:
-    """Update the state of bodies, some of which have changed; other arguments and errors are those of `fit`.
+    """Return the state after changes of the positions of bodies `moved` and of the velocities of bodies `pushed`.
 
-    A body that was only translated keeps orientation and momenta.
+    Other arguments and errors are those of `fit`. A body that was only translated keeps its orientation and momenta.
     """
     R, P, q, m = (a.copy() for a in known)
     residuals = [(np.zeros(0, dtype=np.intp), np.zeros(0))]
@@ -85,7 +86,7 @@ def refit(bodies: RigidBodies, known: BodyState, x: Array, v: Array, moved: Indi
 
 
 def best_attitudes(masses: Array, sites: Array, relative: Array) -> Array:
-    """Return the orientations (4, n) of the best fit of sites to positions (doi:10.1107/S0567739476001873)."""
+    """Return the orientations (4, n) that best fit sites to centred positions (doi:10.1107/S0567739476001873)."""
     if len(sites) == 1:
         correlation = np.einsum("s,nsi,sj->nij", masses, relative, sites[0])
     else:
@@ -103,7 +104,7 @@ def _chosen(kind: Kind, bodies: Indices) -> tuple[Indices, Indices, Array]:
 
 
 def _some(sites: Array, chosen: NDArray[np.generic]) -> Array:
-    """Return the sites of selected bodies if each has its own."""
+    """Return the sites of selected bodies, or unchanged sites (1, k, 3) if all bodies share them."""
     return sites if len(sites) == 1 else sites[chosen]
 
 
@@ -141,7 +142,7 @@ def _judge(bodies: RigidBodies, x: Array, chosen: Indices, distance: Array) -> N
 
 
 def _cause(bodies: RigidBodies, x: Array, body: int) -> str | None:
-    """Return how a body deviates from its shape, and the remedy: it is the mirror image, or one atom is misplaced."""
+    """Return a cause and a remedy if a body is the mirror image of its shape or one atom is misplaced, or None."""
     if body >= bodies.n_turning:
         return None
     kind = next(kind for kind in bodies.kinds if body < kind.bodies.stop)
@@ -164,7 +165,7 @@ def _cause(bodies: RigidBodies, x: Array, body: int) -> str | None:
 
 
 def _missed_by(left_out: int | None, weights: Array, sites: Array, x: Array) -> Array:
-    """Return the distances (k,) of particles from their positions in a fit without the worst particle."""
+    """Return the distances (k,) of particles from their positions in a fit that ignores the particle `left_out`."""
     weights = weights.copy()
     weights[[] if left_out is None else left_out] = 0.0
     relative, about = (a - weights @ a / weights.sum() for a in (x, sites))
@@ -173,14 +174,14 @@ def _missed_by(left_out: int | None, weights: Array, sites: Array, x: Array) -> 
 
 
 def _clusters_of(bodies: RigidBodies, chosen: Indices) -> Iterator[tuple[ClusterKind, Indices, NDArray[np.bool_]]]:
-    """Yield the kinds of clusters, the bodies (N, n) of their atoms, and a mask (N,) of clusters with chosen atoms."""
+    """Yield each kind of clusters, the bodies (N, n) of its atoms, and a mask (N,) of clusters with chosen atoms."""
     for kind, columns in bodies.clusters.columns():
         atoms = columns + bodies.clustered.start
         yield kind, atoms, np.asarray(np.isin(atoms, chosen).any(axis=1))
 
 
 def _missed(bodies: RigidBodies, R: Array, chosen: Indices) -> tuple[Indices, Array]:
-    """Return the first atoms of the clusters of selected bodies, and their largest error of a length, in nm."""
+    """Return the first atom of each cluster with selected bodies, and the largest error of its lengths in nm."""
     found = [(np.zeros(0, dtype=np.intp), np.zeros(0))]
     for kind, atoms, touched in _clusters_of(bodies, chosen):
         found.append((atoms[touched, 0], kind.missed(R.T[atoms[touched]]).max(axis=1)))
@@ -191,7 +192,8 @@ def _missed(bodies: RigidBodies, R: Array, chosen: Indices) -> tuple[Indices, Ar
 def _put_on_constraints(bodies: RigidBodies, R: Array, P: Array, chosen: Indices) -> None:
     """Move the clusters of selected bodies onto their constraints, and project their momenta.
 
-    Centres of mass and total momenta are unchanged. R and P (3, N) are modified in the columns of these clusters.
+    Centres of mass and total momenta are unchanged. R and P (3, N) are modified in place, in the columns of these
+    clusters.
     """
     clusters = list(_clusters_of(bodies, chosen))
     if not any(touched.any() for _, _, touched in clusters):

@@ -19,23 +19,24 @@ from openmm_exactrb.support.types import Array
 
 @dataclass(frozen=True)
 class Kinetic:
-    """How bodies move without forces."""
+    """The motion of bodies without forces."""
 
     #: The flow of the kinetic energy.
     drift: Flow[State]
-    #: displaced(state, push) -> state, moved without turning by momenta `push` (3, N), from rest, for the time 1.
+    #: displaced(state, push) -> the state translated by momenta `push` (3, N), from rest, over the time 1, not rotated.
     displaced: Callable[[State, Array], State]
-    #: The state without those parts of the momenta that constraints do not allow. A drift does the same before it
-    #: moves, so that kicks and noise need it only where the energy is read.
+    #: tangent(state) -> the state with momenta projected onto the constraints. A drift begins with this projection, so
+    #: that it is needed after kicks and noise only where the energy is evaluated.
     tangent: Callable[[State], State]
-    #: Where only some bodies have inner steps, the drifts of these, "inner", and of the "others"; else empty.
+    #: If only some bodies have inner steps: their drift, "inner", and the drift of the "others". Otherwise empty.
     split: Mapping[str, Flow[State]] = field(default_factory=dict)
 
 
 def rigid(mass: Array, rotation: Rotation) -> Kinetic:
-    """Return the kinetic flow of rigid bodies of masses (N,).
+    """Return the free motion of rigid bodies with masses (N,).
 
-    rotation(q, m, tau) -> (q, m) acts on sums, like the results of `openmm_exactrb.rotors.rotor_of_sums`.
+    `rotation` is a function of (q, m, tau) that returns (q, m) as double-doubles, such as a result of
+    `openmm_exactrb.rotors.rotor_of_sums`.
     """
     advance = advancing()
 
@@ -50,7 +51,7 @@ def rigid(mass: Array, rotation: Rotation) -> Kinetic:
 
 
 def geodesics(free: Kinetic, bodies: RigidBodies) -> Kinetic:
-    """Return a free motion in which the atoms of constrained clusters move along the geodesics of their distances."""
+    """Return the free motion in which atoms of constrained clusters move along the geodesics of their constraints."""
     clusters, columns = bodies.clusters, bodies.clustered
     if not len(clusters):
         return free
@@ -75,12 +76,12 @@ def geodesics(free: Kinetic, bodies: RigidBodies) -> Kinetic:
     return Kinetic(drift, displaced, tangent)
 
 
-#: The types of constraints: constrain(free, bodies) -> the motion of the bodies that keeps them.
+#: The types of constraints: constrain(free, bodies) -> the free motion that satisfies the constraints.
 CONSTRAINTS: dict[str, Callable[[Kinetic, RigidBodies], Kinetic]] = {"distances": geodesics}
 
 
 def only_distances() -> bool:
-    """Return whether all constraints are distances, which compiled inner steps support."""
+    """Return whether all constraints are distances, the only ones that compiled inner steps support."""
     return set(CONSTRAINTS.values()) == {geodesics}
 
 
@@ -93,7 +94,7 @@ def free_motion(bodies: RigidBodies, rotor: str | Rotor) -> Kinetic:
 
 
 def advancing() -> Callable[[Array, Array, float], Array]:
-    """Return advance(x, rate, tau) -> x + tau rate for a sum x (2, k, N) and rates (k, N)."""
+    """Return a function advance(x, rate, tau) -> x + tau rate for double-doubles x (2, k, N) and rates (k, N)."""
     kernel = kernels.load("bodies").advance
 
     def advance(x: Array, rate: Array, tau: float) -> Array:

@@ -1,7 +1,7 @@
-"""Joining of molecules that a periodic box has split, and the closest bodies.
+"""Reassembly of molecules that a periodic box has split, and the search for the closest bodies.
 
-Each link between two particles independently determines the number of box vectors between them, so that the link has
-its length. Particles are then joined along a tree of links.
+For each link between two particles, independently of the others, the shift by box vectors is determined with which the
+link has its length. Particles are then joined along a tree of links.
 """
 
 from __future__ import annotations
@@ -18,27 +18,28 @@ from openmm_exactrb.mechanics.links import Links, shortest_tree
 from openmm_exactrb.mechanics.state import BodyState
 from openmm_exactrb.support.types import Array, Indices
 
-# Lengths (nm) that are missed by less than this may be those of a link; by less than `_EQUAL`, they are.
+# A distance that differs from the length of a link by less than `_NEAR` (nm) may be this length; one that differs by
+# less than `_EQUAL` is.
 _NEAR, _EQUAL = 0.02, 1e-4
-# An image replaces what is given if it misses the length by less than this part of what that misses.
+# An image replaces the given vector if the error of its length is below this fraction of the error of the given one.
 _CLOSER = 0.5
-# As long as this, in units of its length, a bond may be that is not split.
+# The largest distance, in units of the length of the bond, at which a bond is not considered split.
 _STRETCHED = 1.5
-# Ways to choose among images that are tried where links of a group leave some undecided.
+# The number of combinations of images that are tried where the links of a group are undecided.
 _MOST_WAYS = 4096
 
 
 @dataclass(frozen=True)
 class Decided:
-    """Numbers of box vectors by which the second ends of links are to be shifted relative to the first."""
+    """Numbers of box vectors by which the second ends of links are to be shifted relative to the first ends."""
 
     shifts: Array  #: (m, 3)
-    doubtful: NDArray[np.bool_]  #: where no image has the length, and what is given does not either (m,)
+    doubtful: NDArray[np.bool_]  #: where neither an image nor the given vector has the length (m,)
     undecided: NDArray[np.bool_]  #: where several images have the length within 0.02 nm (m,)
 
 
 def decided(x: Array, links: Links, box: Array) -> Decided:
-    """Return the images of links: the given vector if its length is right, otherwise the image with the best length."""
+    """Return the images of links: the given vector if its length fits, otherwise the image whose length fits best."""
     gap, inverse, half = x[links.pairs[:, 1]] - x[links.pairs[:, 0]], np.linalg.inv(box), half_width(box)
     found = Decided(np.zeros(gap.shape), *(np.zeros(len(gap), dtype=bool) for _ in range(2)))
     given, wanted = np.linalg.norm(gap, axis=1), np.nan_to_num(links.lengths)
@@ -46,7 +47,7 @@ def decided(x: Array, links: Links, box: Array) -> Decided:
     (far,) = np.nonzero(np.isfinite(given) & ~(short & (given < half)))
     found.shifts[far] = -np.round(gap[far] @ inverse)
     nearest = np.linalg.norm(gap[far] + found.shifts[far] @ box, axis=1)
-    hard = far[~(short[far] & (nearest < half))]  # the others have one image only that is nearer than half the box
+    hard = far[~(short[far] & (nearest < half))]  # the others have only one image that is shorter than half the box
     if len(hard):
         offered = lattice(2 + int(wanted[hard].max() / (2.0 * half)))
         for link in hard:
@@ -64,19 +65,19 @@ def decided(x: Array, links: Links, box: Array) -> Decided:
 
 
 def half_width(box: Array) -> float:
-    """Return half the smallest distance (nm) between opposite sides; shorter vectors have no shorter image."""
+    """Return half the smallest distance (nm) between opposite sides of a box; a shorter vector has no shorter image."""
     return float(0.5 / np.linalg.norm(np.linalg.inv(box), axis=0).max())
 
 
 def lattice(reach: int) -> Array:
-    """Return all triples of whole numbers up to a size."""
+    """Return all triples (n, 3) of integers from -reach to reach."""
     return np.array(list(itertools.product(range(-reach, reach + 1), repeat=3)), dtype=np.float64)
 
 
 def joined(x: Array, links: Links, box: Array, found: Decided | None = None) -> Array:
     """Return positions (n_particles, 3) with linked particles in one image of a box; the same array if none changes.
 
-    The first particle is not moved. A ValueError is raised if two images fit equally well.
+    The first particle of each group is not moved. A ValueError is raised if two images fit equally well.
     """
     found = decided(x, links, box) if found is None else found
     if not found.shifts.any() and not found.undecided.any():
@@ -94,7 +95,7 @@ def joined(x: Array, links: Links, box: Array, found: Decided | None = None) -> 
 
 
 def _best_way(x: Array, links: Links, box: Array, names: Indices) -> Array:
-    """Return the shifts (k, 3) of a group of particles that give its links the best lengths."""
+    """Return the shifts (k, 3) of the particles of a group that give its links the best lengths."""
 
     def missed(total: Array) -> float:
         gap = np.diff((x + total @ box)[links.pairs], axis=1)[:, 0]
@@ -142,7 +143,7 @@ class Shapes:
 
     @cached_property
     def _braced(self) -> Links:
-        """Long bodies have more links than a tree, to distinguish images."""
+        """Links that distinguish the images of long bodies, for which the links of a tree do not suffice."""
         return self._links(braced=True)
 
     def _links(self, braced: bool) -> Links:
@@ -162,7 +163,7 @@ class Shapes:
 
 
 def spanning_pairs(sites: Array, braced: bool) -> Indices:
-    """Return pairs of particles of bodies (n, k, 3): a tree, and if braced, each with four that span the body."""
+    """Return pairs of particles of bodies (n, k, 3): a tree and, if `braced`, the pairs with four spanning ones."""
     tree = shortest_tree(sites)
     if not braced:
         return tree
@@ -176,9 +177,9 @@ def spanning_pairs(sites: Array, braced: bool) -> Indices:
 
 
 def image_gaps(X: Array, box: Array | None) -> tuple[Array, Array]:
-    """Return the longest gap (n,) on the path through each body (n, k, 3) by shortest distances, and the shifts used.
+    """Return the longest gap (n,) in the shortest tree through each body (n, k, 3), and the shifts of its particles.
 
-    With a box, distances to the nearest images are used; the shifts (n, k, 3) are numbers of its vectors.
+    With a box, distances are those to the nearest images; the shifts (n, k, 3) are numbers of box vectors.
     """
     images, offered, longest = np.zeros_like(X), np.zeros_like(X), np.zeros(len(X))
     missing, distance = np.ones(X.shape[:2], dtype=bool), np.full(X.shape[:2], np.inf)
@@ -198,7 +199,7 @@ def image_gaps(X: Array, box: Array | None) -> tuple[Array, Array]:
 
 
 def closest_pair(state: BodyState, box: Array | None = None) -> str:
-    """Name the two bodies with the closest centres, including images in a periodic box (3, 3)."""
+    """Return a description of the two bodies with the closest centres, including images in a periodic box (3, 3)."""
     from scipy.spatial import cKDTree  # here, for a short import of the package
 
     R, images = state.R.T, np.zeros((1, 3))

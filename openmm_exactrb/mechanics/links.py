@@ -12,10 +12,10 @@ from openmm_exactrb.support.types import Array, Indices
 
 
 class Links:
-    """Pairs (m, 2) of particles that a constraint, a bond or a known shape holds at a distance.
+    """Pairs (m, 2) of particles that a constraint, a bond or a known shape holds at a certain distance.
 
-    If a pair occurs twice, the first one counts. Lengths (m,) are in nm, or nan if unknown. The tree prefers short
-    links, and uses the `last` ones (m,) only where there are no others.
+    If a pair occurs more than once, its first occurrence is used. Lengths (m,) are in nm, or nan if unknown. The tree
+    prefers short links, and uses the links of the mask `last` (m,) only where no other links exist.
     """
 
     def __init__(self, pairs: Indices, lengths: Array, n_particles: int, last: NDArray[np.bool_] | None = None) -> None:
@@ -27,7 +27,7 @@ class Links:
 
     @cached_property
     def component(self) -> Indices:
-        """The linked group of each particle (n_particles,)."""
+        """The index of the linked group to which each particle belongs (n_particles,)."""
         from scipy.sparse.csgraph import connected_components  # here, for a short import of the package
 
         label = connected_components(self._graph(self.pairs, self._rank), directed=False)[1]
@@ -35,7 +35,7 @@ class Links:
 
     @cached_property
     def tree(self) -> tuple[Indices, Indices, Indices]:
-        """The particles with a predecessor on the path from the first of their group, the predecessor, and the link."""
+        """All particles but the first of a group, their predecessors in the tree, and the links to the predecessors."""
         from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 
         n = self.n_particles
@@ -47,13 +47,13 @@ class Links:
         parents = before[particles].astype(np.intp)
         return particles, parents, np.searchsorted(self._keys, _keys(particles, parents, n))
 
-    def _graph(self, pairs: Indices, weights: Array) -> Any:  # with one place more, from which all groups are reached
+    def _graph(self, pairs: Indices, weights: Array) -> Any:  # with one node more, which is linked to all groups
         from scipy.sparse import coo_array
 
         return coo_array((weights, tuple(pairs.T)), shape=(self.n_particles + 1, self.n_particles + 1)).tocsr()
 
     def along_tree(self, shifts: Array) -> Array:
-        """Return the sums (n_particles, 3) of the vectors of links (m, 3) along the tree."""
+        """Return the sums (n_particles, 3) of vectors of links (m, 3) along the tree from the first of each group."""
         n, (particles, parents, of) = self.n_particles, self.tree
         total, before = np.zeros((n + 1, 3)), np.full(n + 1, n)
         total[particles] = np.where(self.pairs[of, 1] == particles, 1.0, -1.0)[:, None] * shifts[of]
@@ -63,7 +63,7 @@ class Links:
         return total[:n]
 
     def among(self, particles: Indices) -> Links:
-        """Return the links among given particles, which are numbered by their index in this array."""
+        """Return the links among given particles, which are renumbered by their indices in this array."""
         number = np.full(self.n_particles, -1)
         number[particles] = np.arange(len(particles))
         own = (number[self.pairs] >= 0).all(axis=1)
@@ -71,7 +71,7 @@ class Links:
 
 
 def _keys(one: Indices, other: Indices, n: int) -> Indices:
-    """Return a number for each pair, independent of the order of its particles."""
+    """Return a number for each pair, which does not depend on the order of its particles."""
     return np.minimum(one, other) * n + np.maximum(one, other)
 
 

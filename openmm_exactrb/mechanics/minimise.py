@@ -17,9 +17,9 @@ from openmm_exactrb.mechanics.state import BodyState
 from openmm_exactrb.support.types import Array
 from openmm_exactrb.support.warn import warn
 
-# The unit (nm) of the last search's coordinates, which its first trial step is long.
+# The unit (nm) of the coordinates in the last search, which is the length of its first trial step.
 _LEAST = 1e-6
-# What single precision leaves of an energy: less is no gain.
+# The relative resolution of an energy in single precision: a smaller decrease does not count.
 _GAINED = 1e-7
 
 #: landscape(state) -> potential energy, forces (3, N), body-frame torques (3, K).
@@ -27,7 +27,7 @@ Landscape = Callable[[BodyState], tuple[float, Array, Array]]
 
 
 class MinimisationWarning(UserWarning):
-    """A minimisation ended above its tolerance."""
+    """A minimisation ended with forces above its tolerance."""
 
 
 @dataclass
@@ -47,15 +47,15 @@ def minimised(
     iterations: int,
     box: Array | None = None,
 ) -> BodyState:
-    """Return the bodies at a minimum of their potential energy, with the momenta of the start.
+    """Return the state at a minimum of the potential energy, with the momenta of the start.
 
-    Coordinates are displacements and rotations exp(theta) of each body relative to its start, rotations in units of its
-    radius of gyration; the method is that of Zhu, Byrd, Lu and Nocedal, doi:10.1145/279232.279236. If a search ends
-    above the tolerance, for example after the huge forces of an overlap, another one starts at the best position found.
-    The tolerance, in kJ/mol/nm, limits the largest component of a force, and of a torque divided by the radius of
-    gyration. The number of iterations is limited over all searches; 0 means no limit. A NonFiniteError is raised if the
-    energy or a force at the start is not finite, and a MinimisationWarning is issued if no search reaches the
-    tolerance.
+    Coordinates are the displacement and the rotation exp(theta) of each body relative to its start; theta is multiplied
+    by the radius of gyration. The method is L-BFGS-B: Zhu, Byrd, Lu and Nocedal, doi:10.1145/279232.279236. If a search
+    ends above the tolerance, for example because of the huge forces of an overlap, another search starts at the best
+    position found. The tolerance, in kJ/mol/nm, limits the largest component of a force, and of a torque divided by the
+    radius of gyration. The argument `iterations` limits the number of iterations of all searches together; 0 means no
+    limit. A NonFiniteError is raised if the energy or a force at the start is not finite, and a MinimisationWarning is
+    issued if no search reaches the tolerance.
     """
     if not all(np.isfinite(np.sum(part)) for part in landscape(start)):
         closest = f": the closest are {closest_pair(start, box)}" if len(bodies) > 1 else ""
@@ -86,7 +86,7 @@ def _searched(
     iterations: int,
     unit: float,
 ) -> tuple[BodyState, float]:
-    """Search from the best position, with coordinates in a unit (nm); return the end and the largest force there."""
+    """Search from the best position, with coordinates in a unit (nm); return the last state and its largest force."""
     from scipy.optimize import minimize  # here, for a short import of the package
 
     start = search.state
@@ -123,7 +123,7 @@ def _searched(
 
 
 def _along_turns(turn: Array, torque: Array) -> Array:
-    """Return the torque (3, K) in the body along the coordinates theta: J^T torque, where omega = J d(theta)/dt."""
+    """Return the torque (3, K) conjugate to theta, J^T torque, where omega = J d(theta)/dt in the body frame."""
     angle = np.sqrt((turn * turn).sum(axis=0))
     small = angle < 1e-4
     safe = np.where(small, 1.0, angle)

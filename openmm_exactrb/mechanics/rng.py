@@ -7,13 +7,13 @@ of 64 bits, the lowest first, the layout is::
     key     = (seed, 0)
     counter = (0, 0, stream, step)
 
-The words of seed and step are those of signed numbers. A block of the counter is four words; the block of body n in an
-array (..., N) has the lowest word n + 1, and the second word counts further blocks if the array has more than four
-rows. Hence no draw depends on how many others preceded it, on where a run was interrupted, or on which engine performs
-the step: kernels/random.cl of the device engine generates the same numbers. The stream is the number of the substep in
-the step, times `PURPOSES`, plus the purpose.
+Seed and step are encoded as signed integers. Each value of the counter yields a block of four words. In an array (...,
+N), the counter of body n has the lowest word n + 1; the second word numbers further blocks if the array has more than
+four rows. Hence a number does not depend on how many others were drawn before it, on where a run was interrupted, or on
+the engine that performs the step: kernels/random.cl of the device engine generates the same numbers. The stream is the
+index of the substep in the step times `PURPOSES`, plus the purpose.
 
-Normals are computed from neighbouring words by the method of G. E. P. Box and M. E. Muller (1958),
+Normal variates are computed from neighbouring words by the method of G. E. P. Box and M. E. Muller (1958),
 doi:10.1214/aoms/1177706645.
 """
 
@@ -31,33 +31,33 @@ import numpy as np
 from openmm_exactrb import kernels
 from openmm_exactrb.support.types import Array
 
-# Words of a block.
+# Number of words in a block.
 _BLOCK = 4
-# Of a gamma variate that are looked at together: one in twenty fails.
+# Attempts at a gamma variate that are evaluated together: one in twenty fails.
 _ATTEMPTS = 8
 
 
 class Purpose(IntEnum):
-    """The purpose of random numbers of a substep; numbers for different purposes are independent."""
+    """The purpose of the random numbers of a substep; numbers for different purposes are independent."""
 
     TRANSLATION = 0
     ROTATION = 1
     METROPOLIS = 2
 
 
-#: Number of purposes that a substep has room for.
+#: Number of purposes that are reserved for each substep.
 PURPOSES = 16
 
 
 class Instant(NamedTuple):
-    """The position of a substep in a run: the seed, the step since the start, and the index of the substep."""
+    """The identity of a substep in a run: the seed, the number of steps before it, and the index of the substep."""
 
     seed: int
     step: int
     substep: int
 
     def uniforms(self, purpose: Purpose, n: int) -> Array:
-        """Return numbers of n bodies, uniform in (0, 1), for a purpose."""
+        """Return uniform random numbers (n,) in (0, 1) for a purpose, one for each of n bodies."""
         first: Array = self._uniforms(purpose, 0, 1, n)[0]
         return first
 
@@ -68,7 +68,7 @@ class Instant(NamedTuple):
         return _normals_of(self._uniforms(purpose, 0, -(-count // _BLOCK), n))[:count].reshape(shape)
 
     def gamma(self, purpose: Purpose, shape: float) -> float:
-        """Return one gamma variate for a purpose, independent of its first four normals of a body.
+        """Return a gamma variate of a given shape for a purpose, independent of the first four normals of each body.
 
         G. Marsaglia and W. W. Tsang (2000), doi:10.1145/358407.358414. Successive attempts use the
         numbers of successive bodies in the second block.
@@ -88,7 +88,7 @@ class Instant(NamedTuple):
         raise AssertionError
 
     def _uniforms(self, purpose: Purpose, first: int, blocks: int, n: int) -> Array:
-        """Return numbers of the open interval (0, 1) from blocks of n bodies, (4 blocks, n)."""
+        """Return uniform random numbers (4 blocks, n) in the open interval (0, 1), from blocks of n bodies."""
         u = np.empty((_BLOCK * blocks, n))
         for block in range(blocks):
             rows = u[_BLOCK * block : _BLOCK * (block + 1)]
@@ -103,7 +103,7 @@ def _kernel() -> Callable[..., None]:
 
 
 def _normals_of(u: Array) -> Array:
-    """Return two normals for each two neighbouring rows of uniform numbers."""
+    """Return standard normal numbers from uniform ones: each pair of neighbouring rows yields two rows."""
     radius, angle = np.sqrt(-2.0 * np.log(u[::2])), 2.0 * np.pi * u[1::2]
     out = np.empty(u.shape)
     out[::2], out[1::2] = radius * np.cos(angle), radius * np.sin(angle)

@@ -1,4 +1,4 @@
-"""The state of rigid bodies, as sums high + low and in float64, its flows, and its last forces."""
+"""The state of rigid bodies in double-doubles and in float64, its flows, and the memory of its last forces."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from openmm_exactrb.support.types import Array
 
 _S = TypeVar("_S")
 
-#: flow(state, tau) moves a state by the time tau; it may return the state itself, and does not change what it is given.
+#: flow(state, tau) -> the state after the time tau; it may be the same object, and the argument is not modified.
 Flow = Callable[[_S, float], _S]
 #: Force (3, N) and body-frame torque (3, K).
 Force = tuple[Array, Array]
-#: The forces of the last kicks, and what displaced ones differed by, the most recent ones first.
+#: The forces of the last kicks, and the differences of the displaced forces, most recent first.
 Remembered = tuple[list[Force], list[Force]]
 
 
@@ -31,13 +31,16 @@ class BodyState(NamedTuple):
 
 
 class State(NamedTuple):
-    """A state as sums of `openmm_exactrb.mathematics.compensated`, so that steps do not round it; flows act on it.
+    """The state on which flows act, in double-doubles of `openmm_exactrb.mathematics.compensated` to reduce roundoff.
 
     Attributes
     ----------
     R, P : (2, 3, N) arrays
+        Centres of mass and linear momenta; units are those of `BodyState`.
     q : (2, 4, K) array
+        Orientations.
     m : (2, 3, K) array
+        Angular momenta in the body frame.
     """
 
     R: Array
@@ -47,16 +50,19 @@ class State(NamedTuple):
 
     @classmethod
     def of(cls, rounded: BodyState) -> State:
-        """Return a rounded state as sums with low parts of zero."""
+        """Return a rounded state as double-doubles with low parts of zero."""
         return cls(*map(exactly, rounded))
 
     @property
     def rounded(self) -> BodyState:
-        """The high parts."""
+        """The state rounded to float64."""
         return BodyState(self.R[0], self.P[0], self.q[0], self.m[0])
 
     def renewed(self, rounded: BodyState) -> State:
-        """Return the state with new high parts; unchanged numbers keep their low parts, and unchanged arrays remain."""
+        """Return the state with new high parts.
+
+        Unchanged numbers keep their low parts, and unchanged arrays are not copied.
+        """
         pairs = zip(self, rounded, strict=True)
         return State(*(x if np.array_equal(x[0], high) else renewed(x, high) for x, high in pairs))
 
@@ -67,9 +73,10 @@ class ForceMemory:
     Attributes
     ----------
     forces, differences : deque of (force, torque)
-        Forces at the last positions, and differences of the displaced forces of the last force-gradient kicks.
+        Forces at the last positions, and differences between displaced and undisplaced forces in the last
+        force-gradient kicks.
     closed : bool
-        Whether additions are ignored, as they are while output is computed.
+        Whether additions are ignored, as is the case while output is computed.
     """
 
     def __init__(self, forces: int = 0, differences: int = 0) -> None:
@@ -102,7 +109,7 @@ class ForceMemory:
         return list(self.forces), list(self.differences)
 
     def restore(self, copy: Remembered) -> None:
-        """Store what `copy` returned."""
+        """Replace the contents by a result of `copy`."""
         self.clear()
         self.forces.extend(copy[0][: self.forces.maxlen])
         self.differences.extend(copy[1][: self.differences.maxlen])

@@ -1,13 +1,13 @@
-"""The momentum of a free rigid body in Jacobi's functions, which the formulations of the paper share.
+"""The momentum of a free rigid body in Jacobi's elliptic functions, shared by all formulations of the paper.
 
-With I1 < I2 < I3 and x = m/norm(m), case (a) is 2T I2 > 1, where the momentum circles axis j = 1, and case (b) is
-2T I2 < 1, where it circles j = 3; l is the other of the two. A half turn about a principal axis makes x1, x3 >= 0, and
-then both signs of equations (5) and (6) are plus: x_j = A_j dn u, x2 = A2 sn u, x_l = A_l cn u, u = u0 + lambda t.
+Let I1 < I2 < I3 and x = m/norm(m). In case (a), 2T I2 > 1, the momentum circles axis j = 1 and l is 3; in case (b), 2T
+I2 < 1, it circles axis j = 3 and l is 1. A half turn about a principal axis makes x1, x3 >= 0. Both signs in equations
+(5) and (6) are then plus: x_j = A_j dn u, x2 = A2 sn u, x_l = A_l cn u, u = u0 + lambda t.
 
 E. Celledoni, F. Fassò, N. Säfström and A. Zanna, section 2.1, doi:10.1137/070704393. The paper's 1 - 2T I_i and 1 - k²
 are computed here without cancellation, except for 1 - 2T I2, which vanishes on the separatrix. At a relative distance S
-from it, a step that passes the middle axis has an error of about eps h norm(omega)/S, which the `exact` flow does not
-have.
+from the separatrix, a step in which the momentum passes the middle axis has an error of about eps h norm(omega)/S; the
+`exact` flow does not have this error.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from openmm_exactrb.rotors import exact
 from openmm_exactrb.rotors.flow import Flow, ascending
 from openmm_exactrb.support.types import Array
 
-#: Bodies nearer than this to a symmetric one, to the separatrix or to a stationary rotation are left to the exact flow.
+#: Bodies within this relative distance of symmetry, the separatrix or stationary rotation use the exact flow.
 NEAREST = 1e-14
 
 
 @dataclass(frozen=True)
 class Phase:
-    """Jacobi's functions of the phase u at one time, with the integer nearest to u / 2K, odd where cn is negative."""
+    """Jacobi's functions of the phase u at one time, and the integer nearest to u / 2K (odd where cn is negative)."""
 
     sn: Array
     cn: Array
@@ -40,7 +40,7 @@ class Phase:
     half_turns: Array
 
     def continued(self, ratio: Array | float = 1.0) -> Array:
-        """Return atan(ratio sn/cn) for a positive ratio, continuous past half periods; am u for a ratio of one."""
+        """Return atan(ratio sn/cn) for a positive ratio, continued past half periods; a ratio of one gives am u."""
         folded = np.where(self.cn < 0.0, -self.sn, self.sn)
         return self.half_turns * np.pi + np.arctan2(ratio * folded, np.abs(self.cn))
 
@@ -65,20 +65,20 @@ class Orbit:
 
     @property
     def high(self) -> NDArray[np.bool_]:
-        """Whether case (a) holds."""
+        """A mask (N,) of the bodies in case (a)."""
         return self.excess < 0.0
 
 
 #: third_kind(orbit, nc): the difference over the step of Legendre's integral of the third kind, with 1 - n = nc.
 ThirdKind = Callable[[Orbit, Array], Array]
-#: Of an orbit: the rotation of the step as a quaternion (4, N), not yet renormalised.
+#: A function of an orbit: the rotation of the step as a quaternion (4, N), not yet renormalised.
 Attitude = Callable[[Orbit], Array]
 
 
 def flow_of(inertia: Array, attitude: Attitude) -> Flow:
-    """Return the flow with the momentum of Jacobi's solution and a given orientation, for moments (3, 1) or (3, N).
+    """Return the flow for moments (3, 1) or (3, N), with momenta by Jacobi's solution and rotations by `attitude`.
 
-    Bodies for which that solution is singular use the exact flow: see `is_regular`.
+    Bodies for which Jacobi's solution is singular use the exact flow: see `is_regular`.
     """
     order, back, handedness = ascending(inertia)
     scale = np.ldexp(1.0, np.frexp(inertia.max(axis=0))[1])
@@ -109,10 +109,10 @@ def flow_of(inertia: Array, attitude: Attitude) -> Flow:
 
 
 def is_regular(inertia: Array, m: Array) -> NDArray[np.bool_]:
-    """Return which bodies the paper's solution covers, for ascending moments (3, 1) or (3, N) and momenta m (3, N).
+    """Return a mask (N,) of the bodies that the paper's solution covers, for ascending moments and momenta m (3, N).
 
-    Their three moments differ, and their momentum is finite, nonzero, and off the principal axes and the separatrix,
-    each by a relative distance of `NEAREST`.
+    The three moments of such a body differ by more than a relative distance of `NEAREST`. Its momentum is finite and
+    nonzero, and is more than this distance away from the principal axes and from the separatrix.
     """
     I1, I2, I3 = inertia
     with np.errstate(all="ignore"):
@@ -128,7 +128,7 @@ def is_regular(inertia: Array, m: Array) -> NDArray[np.bool_]:
 
 
 def carlson(orbit: Orbit, nc: Array) -> Array:
-    """Difference of the integral of the third kind, exactly, by Carlson's R_J."""
+    """Return the exact difference of the integral of the third kind over the step, by Carlson's R_J."""
     before, after = (
         third_kind_legendre(phase.sn, phase.cn, phase.dn, phase.half_turns, orbit.kc2, nc)
         for phase in (orbit.before, orbit.after)
@@ -137,10 +137,10 @@ def carlson(orbit: Orbit, nc: Array) -> Array:
 
 
 def gauss(points: int) -> ThirdKind:
-    """Return the difference of the integral of the third kind by Gauss's rule in the amplitude: equation (39).
+    """Return a `ThirdKind` that integrates by Gauss's rule in the amplitude, with a number of points: equation (39).
 
-    Its error is of order 2 points + 1 in the step, and large once the amplitude changes by more than about one, near
-    the separatrix earlier.
+    The error is of order 2 points + 1 in the step. It is large if the amplitude changes by more than about one during
+    the step; near the separatrix, smaller changes suffice.
     """
     nodes, weights = np.polynomial.legendre.leggauss(points)
     nodes, weights = 0.5 * (1.0 + nodes[:, None]), 0.5 * weights

@@ -14,17 +14,17 @@ from openmm_exactrb.support.types import Array
 
 
 def compiled(inertia: Array) -> Flow:
-    """Return the exact flow for moments (3, 1) or (3, N), compiled; see `in_numpy`."""
+    """Return the compiled exact flow for moments (3, 1) or (3, N); see `in_numpy`."""
     return _in_any_order(inertia, kernels.load("exact").advance)
 
 
 def in_numpy(inertia: Array) -> Flow:
-    """Return the exact flow for moments (3, 1) or (3, N) in numpy; it also accepts sums of two, (2, ., N)."""
+    """Return the exact flow in NumPy for moments (3, 1) or (3, N); it also accepts double-doubles (2, ., N)."""
     return _in_any_order(inertia, plain.advance)
 
 
 def _in_any_order(inertia: Array, advance: Callable[..., None]) -> Flow:
-    """Return the flow for moments in any order, by a kernel for ascending ones."""
+    """Return the flow for moments in any order, given a kernel for ascending moments."""
     order, back, handedness = ascending(inertia)
     body = constants(np.take_along_axis(inertia, order, axis=0))
     ordered = bool((order == np.arange(3)[:, None]).all())
@@ -56,7 +56,7 @@ def _in_any_order(inertia: Array, advance: Callable[..., None]) -> Flow:
 
 
 def constants(inertia: Array) -> Array:
-    """Stack b, rho, sigma, 1/I3 and the three moments, scaled by a power of two, of sorted moments."""
+    """Return b, rho, sigma, 1/I3 and the moments, divided by a power of two, as one array for sorted moments (3, N)."""
     scale = np.ldexp(1.0, np.frexp(inertia[2])[1])
     I1, I2, I3 = inertia = inertia / scale
     width = I3 - I1

@@ -1,4 +1,4 @@
-"""The type of flows of the free rigid body, the check of their arguments, and the order of the axes."""
+"""The type of the flows of the free rigid body, the check of their arguments, and the sorting of principal axes."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ _FLOAT = np.dtype(np.float64)
 
 
 def fitting(inertia: Array, flow: Flow, sums: bool) -> Flow:
-    """Return a flow that raises ValueError for arrays of different lengths, past whose ends compiled code would write.
+    """Return a flow that checks array lengths, because compiled code would write past the ends of short arrays.
 
-    `sums` states whether the flow takes double-doubles.
+    A ValueError is raised if the lengths differ. `sums` states whether the flow takes double-doubles.
     """
     seen = None  # shapes are the same at every step of a run
 
@@ -41,7 +41,7 @@ def fitting(inertia: Array, flow: Flow, sums: bool) -> Flow:
 def _check_one_number(
     moments: tuple[int, ...], q: tuple[int, ...], m: tuple[int, ...], t: tuple[int, ...], sums: bool
 ) -> None:
-    """Raise ValueError for shapes with different numbers of bodies."""
+    """Raise ValueError if shapes do not agree on the number of bodies."""
     n, kinds = m[-1:], ((), (1,), (2,)) if sums else ((),)
     alike = any((q, m) == ((*kind, 4, *n), (*kind, 3, *n)) for kind in kinds)
     if not (alike and t in ((), (1,), n) and moments in ((3, 1), (3, *n))):

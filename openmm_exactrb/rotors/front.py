@@ -1,4 +1,4 @@
-"""The public function of the flows: any number of bodies, any moments, momenta and times."""
+"""The public function of the flows, for any number of bodies and any moments, momenta and times."""
 
 from __future__ import annotations
 
@@ -15,32 +15,33 @@ def free_rotor(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Advance free rigid bodies by the time t.
 
-    Solves mdot = m x I^-1 m, qdot = q (0, I^-1 m)/2: equations (1) and (19) of the paper.
+    The equations of motion are mdot = m x I^-1 m and qdot = q (0, I^-1 m)/2: (1) and (19) in the paper.
 
     Parameters
     ----------
     inertia : (3,) or (N, 3) array_like
         Principal moments of inertia, in any order.
     q0 : (4,) or (N, 4) array_like
-        Orientations, scalar first, which map body coordinates to space coordinates. They are normalised.
+        Orientation quaternions, scalar first, which map body coordinates to space coordinates. They are normalised.
     m0 : (3,) or (N, 3) array_like
         Angular momenta in the body frame; zero is allowed.
     t : float or (N,) array_like
         Time, of any sign and magnitude.
     method : str or Rotor, optional
-        A key of `ROTORS`, or an entry of your own.
+        A key of `ROTORS`, or a `Rotor` of your own.
 
     Returns
     -------
     q1 : (4,) or (N, 4) array
     m1 : (3,) or (N, 3) array
-        New arrays; the arguments are unchanged. A body with a non-finite number becomes nan; other bodies are not
-        affected.
+        Orientations and momenta after the time t, in new arrays. The results of a body with a non-finite number are
+        nan; other bodies are not affected.
 
     Warns
     -----
     NotConvergedWarning
-        If a step is too long for some bodies, whose results are nan. Only rotors with a finite `largest_angle` warn.
+        If a step is too long for some bodies, whose results are nan. Only rotors with a finite `largest_angle` issue
+        this warning.
 
     Raises
     ------
@@ -74,12 +75,12 @@ def free_rotor(
 
 
 def _columns(rows: Array, n: int, k: int) -> Array:
-    """Return (n, k) or (k,) rows as contiguous columns (k, n)."""
+    """Return rows (n, k) or (k,) as contiguous columns (k, n)."""
     return np.ascontiguousarray(np.broadcast_to(rows, (n, k)).T)
 
 
 def _normalised(q: Array) -> Array:
-    """Return quaternions of norm one; those with this norm are unchanged."""
+    """Return quaternions (4, N) of norm one; quaternions that already have this norm are unchanged."""
     largest = np.abs(q).max(axis=0, initial=0.0)
     if (largest == 0.0).any():
         raise ValueError("a quaternion of q0 is zero: use (1, 0, 0, 0) for no rotation")

@@ -1,15 +1,15 @@
-"""The preprocessed discrete Moser-Veselov algorithm, of order 6, 8 and 10.
+"""The preprocessed discrete Moser-Veselov algorithm, of orders 6, 8 and 10.
 
-The discrete algorithm follows the free body exactly except for its moments of inertia and its time; it therefore
-receives modified moments, 1/I~_i = s/I_i + d, with series s = 1 + ... and d = ... in the step. The norm of the
+The discrete algorithm reproduces the exact motion of a free body with other moments of inertia and another time. It is
+therefore given modified moments, 1/I~_i = s/I_i + d, with series s = 1 + ... and d = ... in the step. The norm of the
 momentum, the spatial momentum and the kinetic energy are conserved to roundoff.
 
-Domain: any moments and momenta, but only steps that rotate the body by less than a quarter turn, h norm(I^-1 m) < pi/2:
-beyond this, the equations of the step have only a spurious root, far from the solution. The step is implicit, a fixed
-point iteration that is slow near this limit. A body becomes nan if the iteration does not converge within
-`MOST_ITERATIONS`, it rotates too far, or its modified moments are not positive, and is counted in a
-`NotConvergedWarning`. Convergence does not imply a small error of the series, which grows with the power `order` of the
-step.
+Domain: any moments and momenta, and steps that rotate the body by less than a quarter turn, h norm(I^-1 m) < pi/2. The
+equations of a longer step have only a spurious root, far from the solution. The step is implicit; the fixed-point
+iteration that solves its equations converges slowly near this limit. The results of a body are nan if the iteration
+does not converge within `MOST_ITERATIONS`, the body rotates too far, or its modified moments are not positive; a
+`NotConvergedWarning` states the number of such bodies. Convergence does not imply that the error of the series is
+small; this error grows as the power `order` of the step.
 
 E. Hairer and G. Vilmart, J. Phys. A 39, 13225 (2006), doi:10.1088/0305-4470/39/42/006.
 """
@@ -35,11 +35,11 @@ _QUARTER_TURN = 0.5 * np.pi
 
 
 class NotConvergedWarning(RuntimeWarning):
-    """The fixed point iteration of the discrete Moser-Veselov algorithm failed for some bodies, which are now nan."""
+    """The iteration of the discrete Moser-Veselov algorithm failed for some bodies, whose results are nan."""
 
 
 def rotor(order: int) -> Callable[[Array], Flow]:
-    """Return the factory of preprocessed discrete Moser-Veselov flows of order 4, 6, 8 or 10."""
+    """Return the factory of the preprocessed discrete Moser-Veselov flow of order 4, 6, 8 or 10."""
 
     def factory(inertia: Array) -> Flow:
         scale = np.ldexp(1.0, np.frexp(inertia.max(axis=0))[1])
@@ -65,14 +65,14 @@ def rotor(order: int) -> Callable[[Array], Flow]:
 
 
 def _turned(moments: Array, m: Array, h: Array) -> Array:
-    """Return h norm(I^-1 m)."""
+    """Return the angles h norm(I^-1 m) (N,) by which bodies rotate in a step, in rad."""
     omega = m / moments
     angle: Array = np.abs(h) * np.sqrt(np.einsum("in,in->n", omega, omega))
     return angle
 
 
 def _modified(moments: Array, series: Sequence[tuple[Array, Array]], m: Array, h: Array) -> Array:
-    """Return the inverse modified moments (3, N): s/I_i + d, sums of homogeneous polynomials in C and H."""
+    """Return the inverse modified moments s/I_i + d (3, N), where s and d are polynomials in C and H; see `_series`."""
     C = 0.5 * np.einsum("in,in->n", m, m) * h * h
     H = 0.5 * np.einsum("in,in->n", m, m / moments) * h * h
     s, d = np.ones_like(C), np.zeros_like(C)
@@ -85,10 +85,10 @@ def _modified(moments: Array, series: Sequence[tuple[Array, Array]], m: Array, h
 
 
 def _iterate(inverse: Array, m: Array, h: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Solve I~_1 a_1 = alpha h m_1 + (I~_2 - I~_3) a_2 a_3/2 and cyclic, where alpha = 1 + a.a/4.
+    """Solve I~_1 a_1 = alpha h m_1 + (I~_2 - I~_3) a_2 a_3/2 and its cyclic permutations, with alpha = 1 + a.a/4.
 
-    Return a (3, N), twice the Cayley vector of the step's rotation, and a mask of the converged bodies, which are not
-    iterated further, so that results do not depend on other bodies.
+    Return a (3, N), which is twice the Cayley vector of the rotation, and a mask (N,) of the converged bodies.
+    Converged bodies are not iterated further, so that the result of a body does not depend on other bodies.
     """
     after, before = np.roll(inverse, -1, axis=0), np.roll(inverse, 1, axis=0)
     gyration = 0.5 * (before - after) / (before * after)
@@ -111,7 +111,7 @@ def _iterate(inverse: Array, m: Array, h: Array) -> tuple[Array, NDArray[np.bool
 
 
 def _step(angle: Array, m: Array) -> tuple[Array, Array]:
-    """Return the Cayley transform of a vector as a quaternion (4, N), and the momentum seen from the turned body."""
+    """Return the Cayley transforms of vectors as quaternions (4, N), and the momenta in the turned body frames."""
     c = 0.5 * angle
     alpha = 1.0 + np.einsum("in,in->n", c, c)
     across = np.cross(m, c, axis=0)
@@ -122,7 +122,7 @@ def _step(angle: Array, m: Array) -> tuple[Array, Array]:
 
 
 def _report(q: Array, m: Array, failed: NDArray[np.bool_], order: int) -> None:
-    """Set failed bodies to nan, in place, and warn of their number."""
+    """Set the results of failed bodies to nan, in place, and issue a warning that states the number of these bodies."""
     if not failed.any():
         return
     q[:, failed] = m[:, failed] = np.nan
@@ -134,7 +134,7 @@ def _report(q: Array, m: Array, failed: NDArray[np.bool_], order: int) -> None:
 
 
 def _series(I: Array, order: int) -> list[tuple[Array, Array]]:
-    """Return the terms of s and d of degree 1, 2, ... in (C, H), C = h² norm(m)²/2 and H = h² T.
+    """Return the terms of s and d of degree 1, 2, ... in C = h² norm(m)²/2 and H = h² T.
 
     A term of degree k is an array (k + 1, N) or (k + 1, 1): the coefficients of C^k, C^(k-1) H, ..., H^k.
     """

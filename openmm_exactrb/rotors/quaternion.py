@@ -1,14 +1,14 @@
-"""The free rotor by quaternions: q = p(0)^-1 y p(t), where p rotates the momentum to axis 3 and y rotates about axis 3.
+"""The free rotor by quaternions: q = p(0)^-1 y p(t), where p turns the momentum to axis 3, and y turns about axis 3.
 
-The choices of p in the paper differ by a rotation about axis 3 by an angle theta from the smallest rotation
-p = (1 + x3, x2, -x1, 0)/sqrt(2 (1 + x3)), which is the half-angle form of its equations (33) to (37). Such rotations
-commute with y, so that theta(t) - theta(0) is added to the angle psi of y.
+The smallest rotation is p = (1 + x3, x2, -x1, 0)/sqrt(2 (1 + x3)), the half-angle form of equations (33) to (37) of the
+paper. Each choice of p in the paper differs from the smallest rotation by a rotation through an angle theta about axis
+3. Such rotations commute with y, so that theta(t) - theta(0) is added to the angle psi of y.
 
 Domain: the three moments differ, and the momentum is nonzero and neither on a principal axis nor on the separatrix.
 Bodies outside of this domain use the `exact` flow.
 
-E. Celledoni, F. Fassò, N. Säfström and A. Zanna, sections 2.3 and 2.4, doi:10.1137/070704393. Equation (38) and the
-angle of choice (c) are printed for case (a) only; the other case is added here.
+E. Celledoni, F. Fassò, N. Säfström and A. Zanna, sections 2.3 and 2.4, doi:10.1137/070704393. The paper gives equation
+(38) and the angle of choice (c) for case (a) only; case (b) is added here.
 """
 
 from __future__ import annotations
@@ -27,8 +27,9 @@ from openmm_exactrb.support.types import Array
 def kosenko(inertia: Array, third_kind: ThirdKind = carlson) -> Flow:
     """Return the flow with choice (a) of the paper, theta = 0: I. I. Kosenko (1998), equation (38).
 
-    The integrand (2T + omega3)/(1 + x3) is (2T + omega3)(1 - x3)/(1 - x3²), whose two parts give the integral of the
-    third kind of `_precession` and an inverse tangent. Parameters are those of `rotation.rotor`.
+    The integrand (2T + omega3)/(1 + x3) equals (2T + omega3)(1 - x3)/(1 - x3²). Its part even in x3 gives the integral
+    of the third kind of `_precession`, and its odd part gives an inverse tangent. The parameters are those of
+    `rotation.rotor`.
     """
 
     def angle(orbit: Orbit) -> Array:
@@ -68,7 +69,7 @@ def van_zon_schofield(inertia: Array) -> Flow:
 
 
 def _flow(inertia: Array, angle: Callable[[Orbit], Array]) -> Flow:
-    """Return the flow of an angle psi + theta(t) - theta(0)."""
+    """Return the flow in which y rotates by a given angle psi + theta(t) - theta(0)."""
 
     def attitude(orbit: Orbit) -> Array:
         p0, p = _smallest_rotation(orbit.start), _smallest_rotation(orbit.end)
@@ -81,7 +82,7 @@ def _flow(inertia: Array, angle: Callable[[Orbit], Array]) -> Flow:
 
 
 def _smallest_rotation(x: Array) -> Array:
-    """Return the smallest rotation of unit vectors x (3, N) to axis 3, as a quaternion: lemma 2.4 with p3 = 0."""
+    """Return quaternions of the smallest rotations of unit vectors x (3, N) to axis 3: lemma 2.4 with p3 = 0."""
     x1, x2, x3 = x
     # 1 + x3, which cancels where x3 is near -1.
     above = np.where(x3 > -0.5, 1.0 + x3, (x1 * x1 + x2 * x2) / (1.0 - x3))
@@ -101,7 +102,7 @@ def _precession(orbit: Orbit, third_kind: ThirdKind) -> Array:
 
 
 def _inverse_tangent(orbit: Orbit, phase: Phase) -> Array:
-    """Return the integral of cn/(1 - n sn²) in case (a) and of dn/(1 - n sn²) in case (b) up to a phase."""
+    """Return the integral from 0 to a phase, of cn/(1 - n sn²) in case (a) and of dn/(1 - n sn²) in case (b)."""
     I1, I2, I3 = orbit.inertia
     root_a = np.sqrt(orbit.k2 + (orbit.third / orbit.first) ** 2)
     root_b = np.sqrt(I2 * (I3 - I1) / (I1 * (I3 - I2)))

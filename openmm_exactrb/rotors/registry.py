@@ -1,7 +1,7 @@
 """Flows of the free rigid body by name.
 
-To add a flow, write a file with a function ``rotor(inertia) -> flow`` and an entry in `ROTORS`, or pass a `Rotor` to an
-integrator.
+To add a flow, write a file with a function ``rotor(inertia) -> flow`` and add an entry to `ROTORS`, or pass a `Rotor`
+to an integrator.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from openmm_exactrb.rotors.flow import Flow, fitting
 from openmm_exactrb.support import checks
 from openmm_exactrb.support.types import Array
 
-#: Between them a moment and its reciprocal are normal numbers.
+#: Between these bounds, a moment and its reciprocal are normal floating-point numbers.
 SMALLEST_MOMENT, LARGEST_MOMENT = 1e-307, 1e307
-#: The largest ratio of the moments of a body: beyond it formulas lose the smallest one.
+#: The largest ratio of the moments of a body: beyond it, rounding loses the smallest moment.
 WIDEST = 1e15
 
 
@@ -35,10 +35,11 @@ class Rotor:
     ----------
     name : str
     order : int or None
-        Order in the step; None if exact.
+        Order in the step, or None if the method is exact.
     factory : callable
         factory(inertia) -> flow, with component-first inertia (3, 1) or (3, N).
     reference : str
+        Publication that describes the method.
     keeps_energy : bool
         Whether the kinetic energy is conserved to roundoff; if not, it is conserved to the order of the flow.
     largest_angle : float
@@ -56,7 +57,7 @@ class Rotor:
     sums: bool = False
 
     def __repr__(self) -> str:
-        """Return a line of text."""
+        """Return the name, the order and the reference."""
         order = "exact" if self.order is None else f"order {self.order}"
         return f"Rotor({self.name!r}, {order}, {self.reference})"
 
@@ -69,7 +70,7 @@ _GAUSS = tuple(
     for p in (3, 4, 5)
 )
 
-#: All flows by name. "exact" is the compiled one of the two after it.
+#: All flows by name; "exact" is the same flow as "exact_compiled".
 ROTORS: Mapping[str, Rotor] = MappingProxyType(
     {
         entry.name: entry
@@ -99,7 +100,7 @@ COMPILED = (ROTORS["exact"], ROTORS["exact_compiled"])
 
 
 def look_up(rotor: str | Rotor) -> Rotor:
-    """Return the rotor with a name, or a `Rotor` unchanged; raise ValueError if the name is unknown."""
+    """Return the rotor with this name, or a `Rotor` unchanged; raise ValueError if the name is unknown."""
     if isinstance(rotor, Rotor):
         return rotor
     if not isinstance(rotor, str) or rotor not in ROTORS:
@@ -108,18 +109,18 @@ def look_up(rotor: str | Rotor) -> Rotor:
 
 
 def rotor(method: str | Rotor, inertia: ArrayLike) -> Flow:
-    """Prepare the flow of free bodies with principal moments (3,) of all or (N, 3), by a key of `ROTORS` or a `Rotor`.
+    """Return the flow of free bodies with principal moments (3,) or (N, 3), for a key of `ROTORS` or a `Rotor`.
 
-    A ValueError is raised if there is no such rotor, or moments are not real, positive and finite numbers of this
-    shape, are below ``SMALLEST_MOMENT`` or above ``LARGEST_MOMENT``, or have a ratio above ``WIDEST``. I1 + I2 >= I3,
-    which the moments of all mass distributions satisfy, is not required, because the equations do not need it.
+    A ValueError is raised if the rotor is unknown, or if moments have another shape, are not real, positive and finite,
+    are below ``SMALLEST_MOMENT`` or above ``LARGEST_MOMENT``, or have a ratio above ``WIDEST``. Moments that violate I1
+    + I2 >= I3, which holds for every mass distribution, are accepted, because the equations do not require it.
     """
     entry, columns = look_up(method), _columns(inertia)
     return fitting(columns, entry.factory(columns), entry.sums)
 
 
 def _columns(inertia: ArrayLike) -> Array:
-    """Return valid moments as columns (3, 1) or (3, N)."""
+    """Return moments as columns (3, 1) or (3, N); raise ValueError if they are invalid."""
     moments = checks.array(inertia, "inertia")
     if moments.ndim not in (1, 2) or moments.shape[-1] != 3:
         raise ValueError(f"inertia must have the shape (3,) or (N, 3), not {moments.shape}")
@@ -135,10 +136,11 @@ def _columns(inertia: ArrayLike) -> Array:
 
 
 def rotor_of_sums(method: str | Rotor, inertia: ArrayLike, checked: bool = True) -> Flow:
-    """Prepare the flow of free bodies whose orientations (2, 4, N) and momenta (2, 3, N) are double-doubles.
+    """Return the flow of free bodies whose orientations (2, 4, N) and momenta (2, 3, N) are double-doubles.
 
-    Parameters and errors are those of `rotor`. Flows without ``Rotor.sums`` return rounded numbers. Unless shapes are
-    `checked` at each call, compiled code writes beyond the ends of arrays with wrong shapes.
+    Parameters and errors are those of `rotor`. The results of a rotor without ``Rotor.sums`` are rounded to float64.
+    With ``checked=False`` shapes are not checked at each call, and compiled code writes past the ends of arrays with
+    wrong shapes.
     """
     entry, columns = look_up(method), _columns(inertia)
     flow = fitting(columns, entry.factory(columns), entry.sums) if checked else entry.factory(columns)

@@ -1,8 +1,8 @@
 """The free rotor by rotation matrices: the frame (mdot, m x mdot, m) and one planar angle.
 
 Domain: the three moments differ, and the momentum is nonzero and neither on a principal axis nor on the separatrix.
-Bodies outside of this domain, for which the frame or the elliptic functions are singular (stationary rotation,
-symmetric and spherical bodies, bodies at rest), use the `exact` flow.
+Bodies outside of this domain, for which the frame or the elliptic functions are singular (symmetric and spherical
+bodies, and bodies at rest or in stationary rotation), use the `exact` flow.
 
 E. Celledoni, F. Fassò, N. Säfström and A. Zanna, section 2.2, doi:10.1137/070704393.
 """
@@ -19,7 +19,7 @@ from openmm_exactrb.support.types import Array
 
 
 def rotor(inertia: Array, third_kind: ThirdKind = carlson) -> Flow:
-    """Return the rotation-matrix flow of free bodies with these moments of inertia, (3, 1) or (3, N) in any order.
+    """Return the rotation-matrix flow of free bodies with moments of inertia (3, 1) or (3, N) in any order.
 
     `third_kind` evaluates the elliptic integral: `euler.carlson`, or a result of `euler.gauss`.
     """
@@ -41,7 +41,7 @@ def rotor(inertia: Array, third_kind: ThirdKind = carlson) -> Flow:
 
 
 def frame(inertia: Array, x: Array) -> tuple[Array, Array, Array]:
-    """Return v = xdot/norm(xdot), w = x cross v and x, of unit momenta x (3, N) off the principal axes."""
+    """Return v = xdot/norm(xdot), w = x cross v, and x, for unit momenta x (3, N) off the principal axes."""
     J, K = np.roll(inertia, -1, axis=0), np.roll(inertia, 1, axis=0)
     a, b, c = (J - K) / (J * K)  # 1/K - 1/J, which would cancel
     v = np.stack([a * x[1] * x[2], b * x[2] * x[0], c * x[0] * x[1]])
@@ -50,10 +50,11 @@ def frame(inertia: Array, x: Array) -> tuple[Array, Array, Array]:
 
 
 def angle(orbit: Orbit, third_kind: ThirdKind) -> Array:
-    """Return the planar angle of the frame of `frame`: equation (14).
+    """Return the planar angle psi (N,) of a step, for the frame of `frame`: equation (14).
 
-    There n = (I3 - I2)/(I2 a1²) in case (a) and n = (I2 - I1)/(I2 a3²) in case (b); either way
-    1 - n = abs(1 - 2T I2) / (b I2 A_j²) with b = 1/I1 - 1/I3 and the largest value A_j of the circled component.
+    In this equation, n = (I3 - I2)/(I2 a1²) in case (a) and n = (I2 - I1)/(I2 a3²) in case (b). In both cases 1 - n =
+    abs(1 - 2T I2) / (b I2 A_j²) with b = 1/I1 - 1/I3, where A_j is the largest value of the component along the circled
+    axis.
     """
     I1, I2, I3 = orbit.inertia
     circled = np.where(orbit.high, orbit.first, orbit.third)

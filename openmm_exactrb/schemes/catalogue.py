@@ -23,16 +23,17 @@ from openmm_exactrb.substeps import DRIFT, KICK, LastForcesKick
 _VERLET = "L. Verlet, Phys. Rev. 159, 98 (1967), doi:10.1103/PhysRev.159.98"
 _MCLACHLAN = "R. I. McLachlan, SIAM J. Sci. Comput. 16, 151 (1995), doi:10.1137/0916010"
 _HMC = "S. Blanes, F. Casas and J. M. Sanz-Serna, SIAM J. Sci. Comput. 36, A1556 (2014), doi:10.1137/130932740"
-# Found by random searches and Nelder-Mead on the energy error of droplets of rigid water, over starts that were used
-# for nothing else: benchmarks/schemes/search.py.
+# Found by random searches and Nelder-Mead minimisation of the energy error of droplets of rigid water, from initial
+# states that were used for nothing else: benchmarks/schemes/search.py.
 _TUNED = "openmm-exactrb, tuned on rigid water at {} fs per force evaluation"
 # Of the schemes with three forces that stay stable beyond half a period of an oscillator, the one with equal shadow
 # energies of fast and slow modes at 4 to 6 fs per force: benchmarks/water/shadow.py.
 _EQUIPARTITION = "openmm-exactrb, for equipartition of rigid water at 4 to 6 fs per force evaluation"
-# The least squares of what momenta and places are off from canonical, over 40 to 220/ps: benchmarks/water/shadow.py.
+# Least-squares fit of momenta and positions to the canonical distribution, over 40 to 220/ps:
+# benchmarks/water/shadow.py.
 _CANONICAL = "openmm-exactrb, for the canonical distribution of rigid water at 4 fs per force evaluation"
-# Changes of coordinates that leave of a kernel's error what no change removes, for the frequencies of rigid water:
-# benchmarks/schemes/processors.py.
+# Changes of coordinates that leave only the part of a kernel's error that no change removes, for the frequencies of
+# rigid water: benchmarks/schemes/processors.py.
 _PROCESSOR = "{}; the processor is of openmm-exactrb"
 _OMELYAN = (
     "I. P. Omelyan, I. M. Mryglod and R. Folk, Comput. Phys. Commun. 146, 188 (2002), doi:10.1016/S0010-4655(02)00451-4"
@@ -45,7 +46,7 @@ _PLANETS = "S. Blanes et al., Appl. Numer. Math. 68, 58 (2013), doi:10.1016/j.ap
 
 
 def _kicks_of_pairs(new: float, last: tuple[float, ...], gradients: tuple[float, ...]) -> Sequence:
-    """Return an output's kicks at one position, by the forces at it, the last forces and the last force-gradient terms.
+    """Return the kicks of an output at one position, by new forces, the last forces and the last force-gradient terms.
 
     The terms are those of `TAKAHASHI_IMADA_PAIR`, whose displaced forces are magnified with alternating signs.
     """
@@ -56,7 +57,8 @@ def _kicks_of_pairs(new: float, last: tuple[float, ...], gradients: tuple[float,
 
 _V2_DRIFT = symmetric("V2_drift", order=2, stages=1, first="drift", reference=_VERLET)
 
-# Ways back from inner coordinates for output, by the forces of the last kicks: benchmarks/schemes/outputs.py.
+# Map from the inner coordinates to the output, computed from the forces of the last kicks:
+# benchmarks/schemes/outputs.py.
 _OUTPUT_OF_PAIRS = (
     (DRIFT, -0.25),
     *_kicks_of_pairs(
@@ -84,8 +86,8 @@ _SCHEMES = (
     _V2_DRIFT,
     symmetric("S2_2", order=2, stages=2, first="kick", b=(0.1931833275037836,), reference=_MCLACHLAN),
     symmetric("S2_3", order=2, stages=3, first="kick", a=(0.29619504261126,), b=(0.11888010966548,), reference=_HMC),
-    # Between Lobatto's rule of four points and S2_3: the member that touches the bound of stability at half a period
-    # instead of leaving it, and whose momenta and places are about as hot for all modes of rigid water.
+    # A scheme between Lobatto's rule of four points and S2_3, which touches the stability bound at half a period
+    # without crossing it. The temperatures of momenta and of positions are nearly equal for all modes of rigid water.
     symmetric(
         "W2_3", order=2, stages=3, first="kick", a=(0.28764,), b=(0.10371431720489364,), reference=_EQUIPARTITION
     ),
@@ -109,7 +111,7 @@ _SCHEMES = (
         b=(0.08477656200969587785212352836804759, 0.65654407453874424357010313964426243),
         reference=_TUNED.format(1),
     ),
-    # SRKN4_6b with a smaller error at steps that are not short.
+    # A variant of SRKN4_6b with a smaller error at steps that are not short.
     symmetric(
         "W4_6",
         order=4,
@@ -269,7 +271,8 @@ _SCHEMES = (
     *FORCE_GRADIENT,
     # Near the force-gradient scheme of this pattern that has order 4 and the smallest error constant there.
     force_gradient("W2_5", "BACACAB", order=2, a=(0.28756,), b=(0.09363,), e=(0.01434,), reference=_TUNED.format(2)),
-    # Of this pattern the one whose shadow energy is nearest to the energy for all modes of rigid water at 4 fs a force.
+    # The scheme of this pattern whose shadow energy is nearest to the energy for all modes of rigid water at 4 fs per
+    # force.
     force_gradient("W2_4g", "ABACABA", order=2, a=(0.08209,), b=(0.24119,), e=(0.025308,), reference=_CANONICAL),
     processed(
         _V2_DRIFT,
@@ -300,27 +303,27 @@ _SCHEMES = (
     corrected(TAKAHASHI_IMADA, 8, "V2_gradient_C17", (18, 4)),
 )
 
-#: All schemes by name; `scheme` knows SABA_n and SBAB_n for every n up to 99 too.
+#: All schemes by name; `scheme` also returns SABA_n and SBAB_n for every n up to 99.
 CATALOGUE: Mapping[str, Scheme] = MappingProxyType({scheme.name: scheme for scheme in _SCHEMES})
 
 
 def scheme(name: str | Scheme) -> Scheme:
-    """Look up a scheme; a `Scheme` is returned unchanged. Raise ValueError if the name is unknown."""
+    """Return the scheme with a name, or a `Scheme` unchanged; raise ValueError if the name is unknown."""
     if name in [*WITH_THERMOSTAT]:
         raise ValueError(f"scheme {name} contains a thermostat: use it with ExactRigidBodyLangevinIntegrator")
     return _found(name, CATALOGUE)
 
 
 def scheme_for_thermostat(name: str | Scheme) -> Scheme:
-    """Look up a scheme in the catalogue, or among those that contain a thermostat; see `scheme`."""
+    """Return a scheme of `CATALOGUE` or of `WITH_THERMOSTAT`, in the same way as `scheme`."""
     return _found(name, {**WITH_THERMOSTAT, **CATALOGUE})
 
 
 def splitting(name: str | Scheme) -> Scheme:
-    """Look up a splitting for use with a thermostat: one of the catalogue, or one that contains a thermostat.
+    """Return a scheme of `CATALOGUE` or of `WITH_THERMOSTAT` for use with a thermostat.
 
-    A ValueError is raised if the name is unknown, or the scheme is processed: a thermostat acts on the true state at
-    every step.
+    A ValueError is raised if the name is unknown, or if the scheme is processed, because a thermostat acts on the true
+    state at every step.
     """
     found = scheme_for_thermostat(name)
     if found.processor:
@@ -332,7 +335,7 @@ def splitting(name: str | Scheme) -> Scheme:
 
 
 def _found(name: str | Scheme, schemes: Mapping[str, Scheme]) -> Scheme:
-    """Return one of given schemes, or a generated one; otherwise raise ValueError with the closest name."""
+    """Return a given scheme or a generated one; raise ValueError with the closest name if the name is unknown."""
     if isinstance(name, Scheme):
         return name
     if not isinstance(name, str):
@@ -348,7 +351,7 @@ def _found(name: str | Scheme, schemes: Mapping[str, Scheme]) -> Scheme:
 
 
 def _meant(name: str, schemes: Mapping[str, Scheme]) -> str | None:
-    """Return the name closest to an unknown one: the cheapest scheme of a family, or the most similar name."""
+    """Return the name closest to an unknown one: the cheapest scheme of its family, the most similar name, or None."""
     by_capitals = {known.upper(): known for known in schemes}
     family = [known for capitals, known in by_capitals.items() if capitals.startswith(f"{name.upper()}_")]
     if family and name.upper() not in by_capitals:

@@ -1,12 +1,12 @@
 """Schemes with force-gradient kicks, which use forces at displaced positions instead of a Hessian.
 
-A kick over b h by the forces at positions displaced by e h² F/M is the kick of V - (e/2) h² f . M^-1 f up to higher
-orders; with it, schemes of order 4 need no negative coefficients.
+Up to higher orders, a kick over b h by the forces at positions displaced by e h² F/M is the kick of V - (e/2) h² f .
+M^-1 f. With such kicks, schemes of order 4 need no negative coefficients.
 
-The terms of higher order are not the gradient of a potential, and make the energy drift. Positions are therefore
-displaced by a fraction of e h² F/M, and the change of the forces is magnified: this gives the same term at the same
-cost, with an error smaller by that factor. Rounding errors of the forces are magnified too, so that the fraction must
-not be small.
+The terms of higher order are not the gradient of a potential and cause a drift of the energy. Positions are therefore
+displaced by only e h² F/M / k, where k is `MAGNIFICATION`, and the change of the forces is multiplied by k. The term
+and the cost are the same, and the error is k times smaller. Rounding errors of the forces are also multiplied by k, so
+that k must not be large.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from openmm_exactrb.schemes.scheme import Scheme, palindrome
 from openmm_exactrb.schemes.sequence import merged
 from openmm_exactrb.substeps import DRIFT, KICK, GradientKick, Substep
 
-#: By what the change of forces is multiplied: with forces of single precision 8 shows in the energy, 4 does not.
+#: The factor k of the change of forces: with single-precision forces, 8 affects the energy noticeably, 4 does not.
 MAGNIFICATION = 4.0
 
 _TAKAHASHI_IMADA = "M. Takahashi and M. Imada, J. Phys. Soc. Jpn. 53, 3765 (1984), doi:10.1143/JPSJ.53.3765"
@@ -42,29 +42,29 @@ def force_gradient(
     magnification: float = MAGNIFICATION,
     reference: str = "",
 ) -> Scheme:
-    """Build a scheme from the pattern of its substeps and its free coefficients.
+    """Return the scheme with a given pattern of substeps and given free coefficients.
 
     Parameters
     ----------
     name, order, reference
         As in `Scheme`.
     pattern : str
-        Pattern of a step, a palindrome such as "BACAB" of alternating drifts and kicks; "C" is a kick with a
-        force-gradient term.
+        Pattern of a step: a palindrome, such as "BACAB", of alternating drifts "A" and kicks "B" or "C". A kick "C" has
+        a force-gradient term.
     a, b : sequence of float
-        The coefficients of drifts, and of kicks of both kinds, that precede the one determined by sum(a) = 1 or sum(b)
-        = 1.
+        The coefficients of drifts, and of kicks of both kinds, that precede the coefficient determined by sum(a) = 1 or
+        sum(b) = 1.
     e : sequence of float
-        Coefficient of each "C" of the first half: the kick uses forces at R + e h² F/M to first order in e.
+        Coefficient of each "C" in the first half: the kick uses forces at R + e h² F/M to first order in e.
     magnification : float
-        Forces are evaluated at R + e h² F/M / magnification, and their difference from those at R is multiplied by the
-        magnification; with 1, the kick uses the displaced forces themselves.
+        Forces are evaluated at R + e h² F/M / magnification, and their difference from the forces at R is multiplied by
+        the magnification. With 1, the kick uses the forces at the displaced positions alone.
 
     Raises
     ------
     ValueError
-        If the pattern is not such a palindrome, the number of coefficients is wrong, or the magnification is zero or
-        not finite.
+        If the pattern is not such a palindrome, if the number of coefficients is wrong, or if the magnification is zero
+        or not finite.
     """
     drifts, kicks = pattern[::2], pattern[1::2]
     if drifts[0] != "A":
@@ -101,19 +101,19 @@ def _takahashi_imada(magnification: float) -> Scheme:
     )
 
 
-#: Kicks between half drifts: order 2, of which a change of coordinates makes 4.
+#: A kick between half drifts: of order 2, and of order 4 after a change of coordinates.
 TAKAHASHI_IMADA = _takahashi_imada(MAGNIFICATION)
 _MIRRORED = _takahashi_imada(-MAGNIFICATION)
-#: Two of them, half as long, whose displacements point to either side: what is beyond first order in them cancels. No
-#: palindrome, but time-reversible up to what is left.
+#: Two such steps of half the size, with displacements of opposite sign, in which terms beyond first order cancel. The
+#: sequence is not a palindrome, but time-reversible up to the remaining terms.
 TAKAHASHI_IMADA_PAIR = replace(
     TAKAHASHI_IMADA,
     name="TI2 in pairs",
     sequence=merged((substep, 0.5 * part) for substep, part in (*TAKAHASHI_IMADA.sequence, *_MIRRORED.sequence)),
 )
 
-#: By the number of forces per step, with those at displaced places. The tables of Schäfers and others are for kicks by
-#: forces at displaced places: e = 2 c/b in their notation.
+#: In the order of the number of forces per step, including forces at displaced positions. The tables of Schäfers et al.
+#: are for kicks by forces at displaced positions: e = 2 c/b in their notation.
 FORCE_GRADIENT = (
     TAKAHASHI_IMADA,
     force_gradient("Chin4A", "BACAB", order=4, b=(1.0 / 6.0,), e=(1.0 / 24.0,), reference=_CHIN),

@@ -1,7 +1,7 @@
-"""A splitting scheme: a sequence of substeps with its properties, and functions that build one from coefficients.
+"""Splitting schemes: sequences of substeps with their properties, and functions that build schemes from coefficients.
 
-A step of size h alternates drifts, the flow of T over a_i h, with kicks, the flow of V over b_i h. A table contains the
-free coefficients only; the others follow because each scheme is a palindrome and sum(a) = sum(b) = 1.
+A step of size h alternates drifts, the flow of T over a_i h, with kicks, the flow of V over b_i h. A table contains
+only the free coefficients; the others follow because each scheme is a palindrome and sum(a) = sum(b) = 1.
 """
 
 from __future__ import annotations
@@ -34,17 +34,18 @@ class Scheme:
     kind : {"general", "nystroem"}
         A Nyström scheme needs a kinetic energy that is quadratic in the momenta.
     reference : str
+        Publication that describes the scheme.
     generalised : tuple of int
-        Generalised orders, if the scheme is for a small V; otherwise empty.
+        Generalised orders, if the scheme is designed for a small V; otherwise empty.
     processor : tuple of (Substep, float)
-        Substeps before the first step, which map to the coordinates of the steps; their inverse maps back to the true
-        coordinates.
+        Substeps before the first step, which map the true coordinates to the inner coordinates, in which the steps are
+        performed; their inverse maps back to the true coordinates.
     output : tuple of (Substep, float)
-        A cheaper map to the true coordinates, if there is one, for output while the run continues in the inner
-        coordinates: its error does not accumulate.
+        A cheaper map to the true coordinates for output, or empty. Because the run continues in the inner coordinates,
+        the error of this map does not accumulate.
     output_of_rigid : bool
-        Whether the output was fitted to rigid molecules alone. If drifts have inner steps, the inverse of the processor
-        is used instead.
+        Whether the output was fitted to rigid molecules alone, so that it is replaced by the inverse of the processor
+        if drifts have inner steps.
 
     Raises
     ------
@@ -74,7 +75,7 @@ class Scheme:
                 )
 
     def __repr__(self) -> str:
-        """Return a short description."""
+        """Return the name and the main properties."""
         orders = ", ".join(map(str, self.generalised or (self.order,)))
         kind = ", Nyström" if self.kind == "nystroem" else ""
         processed = ", processed" if self.processor else ""
@@ -89,23 +90,23 @@ class Scheme:
 
     @property
     def a(self) -> tuple[float, ...]:
-        """All coefficients of the drifts, in the order of their use."""
+        """Coefficients of all drifts, in the order of their use."""
         return tuple(part for substep, part in self.sequence if substep == DRIFT)
 
     @property
     def b(self) -> tuple[float, ...]:
-        """All coefficients of the kicks, in the order of their use, summed between drifts."""
+        """Coefficients of the kicks in the order of their use; kicks that no drift separates are summed."""
         return tuple(math.fsum(part for _, part in kicks) for kicks in self._kicks())
 
     @property
     def c(self) -> tuple[float, ...]:
-        """Coefficients c_i of force-gradient terms of the kicks, as f . M^-1 f over c_i h³; may be empty."""
+        """Coefficients c_i of the force-gradient terms f . M^-1 f of the kicks over c_i h³, or empty if all are 0."""
         terms = tuple(math.fsum(map(_gradient_term, kicks)) for kicks in self._kicks())
         return terms if any(terms) else ()
 
     @property
     def has_gradients(self) -> bool:
-        """Whether there are force-gradient kicks."""
+        """Whether the scheme has force-gradient kicks."""
         return any(isinstance(substep, GradientKick) for substep, _ in self.sequence)
 
     def has(self, substep: Substep) -> bool:
@@ -113,23 +114,23 @@ class Scheme:
         return any(isinstance(present, type(substep)) for present, _ in self.sequence)
 
     def _kicks(self) -> list[list[tuple[Substep, float]]]:
-        """Return the kicks grouped by position: those without a drift between them."""
+        """Return the kicks grouped by position; kicks that no drift separates form a group."""
         places = itertools.groupby(self._moves(), lambda row: row[0].kicks)
         return [list(group) for kicked, group in places if kicked]
 
     def _moves(self) -> Substeps:
-        """Return the drifts and kicks; a thermostat between them does not affect the forces."""
+        """Return the drifts and kicks; a thermostat between them does not change the positions of the kicks."""
         return tuple(row for row in self.sequence if row[0] == DRIFT or row[0].kicks)
 
     @property
     def stages(self) -> int:
-        """Positions per step at which forces are evaluated, with outer stages of neighbouring steps merged."""
+        """Number of positions per step with force evaluations; outer stages of neighbouring steps are merged."""
         moves = self._moves()
         return len(self._kicks()) - (bool(moves) and moves[0][0].kicks and moves[-1][0].kicks)
 
     @property
     def forces(self) -> int:
-        """Force evaluations per step, including those at displaced positions for force-gradient kicks."""
+        """Number of force evaluations per step, including those at displaced positions for force-gradient kicks."""
         return self.stages + sum(substep.displaced_forces for substep, _ in self.sequence)
 
     @property
@@ -139,12 +140,12 @@ class Scheme:
 
     @property
     def with_inner_steps(self) -> Scheme:
-        """The scheme for drifts with inner steps: without an output that was fitted to rigid molecules."""
+        """The scheme for drifts with inner steps, without an output that was fitted to rigid molecules."""
         return replace(self, output=()) if self.output_of_rigid else self
 
     @property
     def processing(self) -> int:
-        """Force evaluations of the processor and its inverse, once per run."""
+        """Number of force evaluations of the processor and its inverse, which act once per run."""
         return 2 * sum(substep.kicks for substep, _ in self.processor)
 
     @property
@@ -155,12 +156,12 @@ class Scheme:
 
     @property
     def output_forces(self) -> int:
-        """Force evaluations of the output, for each call of the integrator's `step`."""
+        """Number of force evaluations of the output, for each call of the integrator's `step`."""
         return sum(substep.kicks for substep, _ in self.output or self.processor)
 
     @property
     def symmetric(self) -> bool:
-        """Whether a backward step is the inverse of a step; a processor is symmetric only to first order in V."""
+        """Whether a backward step inverts a step; a processor, symmetric only to first order in V, makes this false."""
         return not self.processor and palindromic(self.sequence)
 
 
@@ -181,14 +182,14 @@ def symmetric(
     reference: str = "",
     generalised: tuple[int, ...] = (),
 ) -> Scheme:
-    """Build a scheme from its free coefficients.
+    """Return the symmetric scheme with given free coefficients.
 
     Parameters
     ----------
     name, order, stages, kind, first, reference, generalised
         As in `Scheme`.
     a, b : sequence of float
-        The coefficients of drifts and kicks that precede the one determined by sum(a) = 1 or sum(b) = 1.
+        The coefficients of drifts and kicks that precede the coefficient determined by sum(a) = 1 or sum(b) = 1.
 
     Raises
     ------
@@ -203,7 +204,7 @@ def symmetric(
 
 
 def _alternating(first: Iterable[tuple[Substep, float]], second: Iterable[tuple[Substep, float]]) -> Substeps:
-    """Return rows of two alternating substeps."""
+    """Return the rows of two sequences in alternation, beginning with the first."""
     return tuple(row for pair in itertools.zip_longest(first, second) for row in pair if row)
 
 
@@ -220,8 +221,8 @@ def processed(
 ) -> Scheme:
     """Return a scheme with the steps of a kernel between a processor and its inverse.
 
-    The other arguments are those of `Scheme`, for both together. The processor alternates drifts a and kicks b, drift
-    first; the last of each, which make both sums zero, are omitted.
+    The other arguments are those of `Scheme` for the processed scheme. The processor alternates drifts and kicks, drift
+    first; a and b omit the last drift and the last kick, which make the sums of drifts and of kicks zero.
     """
     drifts, kicks = ([*table, -math.fsum(table)] for table in (a, b))
     processor = _alternating([(DRIFT, part) for part in drifts], [(KICK, part) for part in kicks])
@@ -230,7 +231,7 @@ def processed(
 
 
 def palindrome(name: str, table: str, free: Sequence[float], length: int) -> tuple[float, ...]:
-    """Complete free coefficients to a palindrome of the given length whose sum is one."""
+    """Return the palindrome of a given length and of sum one that begins with the free coefficients."""
     needed = (length - 1) // 2
     if len(free) != needed:
         raise ValueError(

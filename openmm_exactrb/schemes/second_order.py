@@ -1,11 +1,11 @@
 """The second-order step-size error of averages, as coefficients of a splitting with a heat exchange.
 
-Next to its heat exchange, a symmetric splitting of steps h conserves
+Next to its heat exchange, a symmetric splitting with steps of size h conserves
 
     H + h² (alpha v·V''v + beta f·M⁻¹f) + O(h⁴),
 
-and its step ends a drift of y h, which may contain kicks, after the exchange. `openmm_exactrb.averages` computes the
-error of any average from these numbers.
+and its step ends with drifts over y h in total, possibly with kicks between them, after the exchange.
+`openmm_exactrb.averages` computes the error of any average from these numbers.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from openmm_exactrb.substeps import Drift, GradientKick, HeatExchange, Kick
 
 
 class SecondOrder(NamedTuple):
-    """Coefficients of the second-order error of a splitting, in squares of the step."""
+    """Coefficients of the second-order error of a splitting, in units of the squared step."""
 
     alpha: float  #: of v·V''v in the conserved energy
     beta: float  #: of f·M⁻¹f in the conserved energy
@@ -35,10 +35,10 @@ class SecondOrder(NamedTuple):
 def second_order(scheme: Scheme) -> SecondOrder:
     """Return the coefficients of a scheme that contains the heat exchange of its integrator.
 
-    Let the kicks have the parts b_j of the step and the times c_j since the heat exchange, as parts of the step. Then
-    alpha = 1/12 - B/2 and beta = 1/12 - D/2 with B and D of `sequence.second_moments`, and a force-gradient kick of
-    strength s adds -s b³/2 to beta. A ValueError is raised unless a step has a single heat exchange, between drifts and
-    kicks by all forces that mirror each other.
+    Let b_j be the fractions of the kicks, and c_j their times since the heat exchange in units of the step. Then alpha
+    = 1/12 - B/2 and beta = 1/12 - D/2 with B and D of `sequence.second_moments`, and a force-gradient kick of strength
+    s adds -s b³/2 to beta. A ValueError is raised unless a step has a single heat exchange, its drifts and kicks are
+    palindromic around this exchange, and each kick is by all forces.
     """
     behind, before = _around_exchange(scheme)
     cycle = behind + before
@@ -57,7 +57,7 @@ def second_order(scheme: Scheme) -> SecondOrder:
 
 
 def _around_exchange(scheme: Scheme) -> tuple[Sequence, Sequence]:
-    """Return the drifts and kicks from the heat exchange to the end of a step, and those before it."""
+    """Return the drifts and kicks from the heat exchange to the end of a step, and those before the exchange."""
     rows = scheme.sequence
     if isinstance(rows[0][0], HeatExchange) and isinstance(rows[-1][0], HeatExchange) and len(rows) > 1:
         rows = rows[1:]  # the halves of one exchange

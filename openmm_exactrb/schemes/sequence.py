@@ -1,4 +1,4 @@
-"""Sequences: a step is a row of substeps, each with its fraction of the step."""
+"""Sequences of substeps, each with its fraction of the step, and their flows."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def _in_order(sequence: Sequence) -> Sequence:
 
 
 def merged(sequence: Iterable[tuple[Substep, float]]) -> Sequence:
-    """Return a sequence with equal additive neighbours merged."""
+    """Return a sequence in which equal neighbouring substeps are merged if they are additive."""
     rows: list[tuple[Substep, float]] = []
     for substep, part in sequence:
         if rows and rows[-1][0] == substep and substep.additive:
@@ -43,7 +43,7 @@ def merged(sequence: Iterable[tuple[Substep, float]]) -> Sequence:
 
 
 def repeated(sequence: Sequence, n: int) -> Sequence:
-    """Return n steps, with the outer substeps of neighbouring steps merged."""
+    """Return the sequence of n steps, with the outer substeps of neighbouring steps merged."""
     return merged(sequence * n)
 
 
@@ -61,7 +61,7 @@ def second_moments(kicks: Iterable[tuple[float, float]]) -> tuple[float, float]:
 def spelled(text: str) -> Sequence:
     """Return the sequence of a text such as "B A O A B"; substeps of the same kind have equal fractions of the step.
 
-    A ValueError is raised if there is no substep, or an unknown one.
+    A ValueError is raised if the text contains no substep, or an unknown one.
     """
     symbols = text.split()
     if not symbols:
@@ -70,17 +70,17 @@ def spelled(text: str) -> Sequence:
 
 
 def bound(sequence: Sequence, flows: Mapping[Substep, Flow[_S]], h: float) -> list[tuple[Flow[_S], float]]:
-    """Return the flows of a sequence with their times, in a step of size h."""
+    """Return the flows of the substeps in a step of size h, each with its time."""
     return [(flows[substep], part * h) for substep, part in sequence]
 
 
 def through(rows: Iterable[tuple[Flow[_S], float]], state: _S) -> _S:
-    """Return a state after successive flows with their times: the loop of every step."""
+    """Return the state after successive flows, each over its time: the loop of every step."""
     for flow, tau in rows:
         state = flow(state, tau)
     return state
 
 
 def run(sequence: Sequence, flows: Mapping[Substep, Flow[_S]], state: _S, h: float) -> _S:
-    """Return a state after a step of size h of a sequence, with given flows of its substeps."""
+    """Return the state after a step of size h, for a sequence and the flows of its substeps."""
     return through(bound(sequence, flows, h), state)

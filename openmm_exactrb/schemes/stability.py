@@ -12,7 +12,7 @@ from openmm_exactrb.schemes.sequence import Sequence
 from openmm_exactrb.substeps import Matrix
 from openmm_exactrb.support import checks
 
-# Between two steps, and the number of them whose traces are computed as one array.
+# The spacing of the tested steps, and the number of steps that are tested together.
 _RESOLUTION, _AT_ONCE = 1e-4, 10_000
 
 
@@ -20,12 +20,12 @@ def stability_limit(scheme: Scheme) -> float:
     """Return the largest step, in units of 1/omega, for which a harmonic oscillator is stable.
 
     It is the last multiple of 1e-4 before the trace of the matrix of a step leaves [-2, 2]. Points where two stable
-    intervals meet, with an excess below 1e-6, are ignored.
+    intervals meet are ignored if the trace exceeds this interval by less than 1e-6.
 
     Raises
     ------
     ValueError
-        If the fractions of the drifts or of the kicks do not add up to a step.
+        If the fractions of the drifts or of the kicks do not add up to 1.
     """
     if not all(math.isclose(math.fsum(parts), 1.0, rel_tol=1e-6) for parts in (scheme.a, scheme.b)):
         raise ValueError(
@@ -45,7 +45,7 @@ def stability_limit(scheme: Scheme) -> float:
 class Shadow(NamedTuple):
     """The energy kinetic p²/2 + potential q²/2 that a symmetric scheme conserves for the Hamiltonian p²/2 + q²/2.
 
-    Both numbers are 1 for the exact flow.
+    Both coefficients are 1 for the exact flow.
     """
 
     kinetic: float
@@ -55,11 +55,12 @@ class Shadow(NamedTuple):
 def shadow(scheme: Scheme, step: float) -> Shadow:
     """Return the coefficients of the energy that a scheme conserves exactly at the ends of its steps.
 
-    A step moves points of the plane of q and p along ellipses. A mode at temperature T' therefore has <p²> =
-    kT'/kinetic and <q²> = kT'/potential: in a liquid, in which fast and slow modes exchange this energy, modes with a
-    larger `kinetic` appear colder. For a symmetric scheme the coefficients are 1 + 2 b step² and 1 + 2 a step² up to
-    step², where b and a belong to the commutators of two kinetic and one potential energy, and of one and two. A
-    thermostat within the step is ignored.
+    Steps move points of the (q, p) plane along ellipses. A mode at temperature T' therefore has <p²> = kT'/kinetic and
+    <q²> = kT'/potential. In a liquid, where fast and slow modes exchange the conserved energy, modes with a larger
+    `kinetic` appear colder. Up to second order, the coefficients of a symmetric scheme are 1 + 2 b step² and 1 + 2 a
+    step², where b is the coefficient of the commutator of two kinetic energies and one potential energy, and a is the
+    coefficient of the commutator of one kinetic energy and two potential energies. A thermostat within the step is
+    ignored.
 
     Parameters
     ----------
@@ -86,7 +87,7 @@ def shadow(scheme: Scheme, step: float) -> Shadow:
 def oscillated(sequence: Sequence, h: Any) -> Matrix:
     """Return the matrix of a sequence for q'' = -q: ((dq/dq, dq/dp), (dp/dq, dp/dp)).
 
-    Step sizes h, a number or an array, are in units of 1/omega; entries have the shape of h.
+    The step size h, a number or an array, is in units of 1/omega; the entries have the shape of h.
     """
     zero = 0.0 * h
     (qq, qp), (pq, pp) = (1.0 + zero, zero), (zero, 1.0 + zero)

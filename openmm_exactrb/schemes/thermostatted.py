@@ -1,4 +1,4 @@
-"""Schemes with a thermostat: those that contain one, and the addition of a thermostat to the others."""
+"""Schemes that contain a thermostat, and functions that add a thermostat to other schemes."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ _CANONICAL = "openmm-exactrb, for equipartition and the density of rigid water a
 def reading_point(kicks: Iterable[tuple[float, float]]) -> float:
     """Return the time after the thermostat at which positions are read, as a fraction of the step.
 
-    A step from one heat exchange to the next takes (q, p) of an oscillator of the frequency w to
-    (.. + (1 - B h² w²) h p, .. - (1 - D h² w²) h w² q) up to h³, with B and D of `sequence.second_moments`. So next to
-    the thermostat w² <q²> / <p²> is 1 - (B - D) h² w², and a drift over y h, which leaves momenta unchanged, adds y² h²
-    w²: with y² = B - D positions are canonical up to h⁴, like momenta.
+    A step from one heat exchange to the next maps (q, p) of an oscillator of frequency w to (.. + (1 - B h² w²) h p, ..
+    - (1 - D h² w²) h w² q) up to h³, with B and D of `sequence.second_moments`. Next to the thermostat, w² <q²> / <p²>
+    is therefore 1 - (B - D) h² w². A drift over y h, which leaves momenta unchanged, adds y² h² w², so that with y² = B
+    - D positions are canonical up to h⁴, as momenta are.
     """
     single, double = second_moments(sorted(kicks, key=operator.itemgetter(1)))
     return math.sqrt(single - double)
 
 
 def _three_kicks(outer: float) -> Sequence:
-    """Return three kicks around drifts that contain a thermostat; a step ends where positions are read.
+    """Return a sequence of three kicks, with a thermostat between two drifts; a step ends where positions are read.
 
     `outer` is the drift on each side of the thermostat. The weight of the middle kick is such that the step touches the
     stability bound at half a period of an oscillator, and does not cross it.
@@ -45,8 +45,8 @@ def _three_kicks(outer: float) -> Sequence:
 
 #: Splittings with a thermostat within them, by name. Those of Leimkuhler and Matthews need one force per step, as does
 #: BAOA, the splitting of OpenMM's LangevinMiddleIntegrator. With an outer drift of 0.135 the momenta of W2_3m next to
-#: the thermostat are canonical within half a percent up to 160/ps at 6 fs a force, and positions are so in the fourth
-#: order where a step ends, `reading_point` behind the thermostat: tests/schemes/test_thermostatted.py.
+#: the thermostat are canonical within half a percent up to 160/ps at 6 fs a force, and positions at the end of a step,
+#: `reading_point` after the thermostat, are canonical to fourth order: tests/schemes/test_thermostatted.py.
 WITH_THERMOSTAT: Mapping[str, Scheme] = MappingProxyType(
     {
         scheme.name: scheme
@@ -66,11 +66,12 @@ def with_thermostat(scheme: Scheme) -> Scheme:
 
 
 def canonical_momenta(sequence: Sequence) -> Sequence:
-    """Return the sequence of a step after which the momenta of bodies with inner steps are those of a heat exchange.
+    """Return a sequence at whose end the momenta of bodies with inner steps are those after the heat exchange.
 
-    A drift between the last heat exchange and the end of a step preserves momenta, except for those of bodies with
-    inner steps: during its time t, fast forces act without the slow forces that balance them, which adds -t² <f_fast
-    M^-1 f_slow> to twice the mean kinetic energy. These bodies perform that drift at the start of the next step.
+    A drift between the last heat exchange and the end of a step preserves momenta, except for bodies with inner steps.
+    During the time t of the drift, fast forces act on these bodies without the slow forces that balance them, which
+    adds -t² <f_fast M^-1 f_slow> to twice the mean kinetic energy. These bodies therefore perform the drift at the
+    start of the next step.
     """
     if len(sequence) < 2 or not isinstance(sequence[-2][0], HeatExchange) or sequence[-1][0] != DRIFT:
         return sequence
@@ -82,10 +83,11 @@ def canonical_momenta(sequence: Sequence) -> Sequence:
 
 
 def behind_exchange(sequence: Sequence) -> Sequence:
-    """Return the drifts after the last heat exchange if a step ends with them, or none.
+    """Return the drifts after the last heat exchange if a step ends with them, otherwise an empty sequence.
 
-    From one heat exchange to the next a step is symmetric in time, so that the errors of the energy there are of order
-    2. At the end of the step, positions are ahead of momenta, and the errors of the total energy are of order 1.
+    From one heat exchange to the next, a step is symmetric in time, so that errors of the energy at the exchanges are
+    of order 2. At the end of the step, positions are ahead of momenta, and the errors of the total energy are of order
+    1.
     """
     rows: list[tuple[Substep, float]] = []
     for substep, part in reversed(sequence):
@@ -98,7 +100,7 @@ def behind_exchange(sequence: Sequence) -> Sequence:
 
 
 def with_proposals(scheme: Scheme, proposal: Substep) -> Scheme:
-    """Return a scheme whose step is a proposal between two halves of a thermostat."""
+    """Return a scheme whose step is a proposal between two halves of a heat exchange."""
     return _numbered(scheme, _between_halves(((proposal, 1.0),)))
 
 
@@ -107,7 +109,7 @@ def _between_halves(sequence: Sequence) -> Sequence:
 
 
 def _numbered(scheme: Scheme, sequence: Sequence) -> Scheme:
-    """Return a scheme with this sequence and numbered heat exchanges, which receive different noise."""
+    """Return a scheme with this sequence and with numbered heat exchanges, so that each receives different noise."""
     numbers = itertools.count()
     rows = ((HeatExchange(next(numbers)) if isinstance(s, HeatExchange) else s, part) for s, part in sequence)
     return replace(scheme, sequence=tuple(rows))
@@ -116,7 +118,8 @@ def _numbered(scheme: Scheme, sequence: Sequence) -> Scheme:
 def proposal(scheme: Scheme, steps: int) -> Scheme:
     """Return a scheme whose step consists of a number of steps of another scheme.
 
-    A ValueError is raised if it is not symmetric in time or contains a thermostat, as Metropolis's rule requires.
+    Metropolis's rule requires a scheme that is symmetric in time and contains no thermostat; otherwise a ValueError is
+    raised.
     """
     if scheme.has(HEAT_EXCHANGE):
         raise ValueError(f"{scheme.name} contains a thermostat, but a proposal must not: choose a scheme such as S2_2")
@@ -126,6 +129,6 @@ def proposal(scheme: Scheme, steps: int) -> Scheme:
 
 
 def require_symmetric(scheme: Scheme | None, role: str = "scheme") -> None:
-    """Raise ValueError for a scheme, or an inner one, whose proposals are not symmetric in time."""
+    """Raise ValueError if the scheme of proposals, or of their inner steps, is not symmetric in time."""
     if scheme is not None and not palindromic(scheme.sequence):
         raise ValueError(f"the {role} {scheme.name} is not symmetric in time, as proposals must be: choose one that is")

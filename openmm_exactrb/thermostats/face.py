@@ -1,4 +1,4 @@
-"""The common parts of the integrators with a thermostat: temperature and noise."""
+"""The common base classes of the integrators with a thermostat."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class Options(TypedDict, total=False):
 class ThermostattedIntegrator(ExactRigidBodyIntegrator):
     """An `ExactRigidBodyIntegrator` with a thermostat of this package.
 
-    Checkpoints and States contain the seed and sums over steps, such as the heat. Temperature and friction are
-    settings, which must be set again in a new process.
+    Checkpoints and States contain the seed and sums over steps, such as the heat. Temperature and friction are settings
+    that must be set again in a new process.
     """
 
     _thermostat: Any
@@ -41,7 +41,9 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         return self._thermostat.temperature * unit.kelvin
 
     def setTemperature(self, temperature: float | unit.Quantity) -> None:
-        """Set the temperature of the thermostat, in K if it has no unit; that of a barostat is set separately.
+        """Set the temperature of the thermostat, in K if it has no unit.
+
+        The temperature of a barostat is set separately.
 
         Raises
         ------
@@ -51,10 +53,11 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         self._change(temperature=temperature)
 
     def temperaturesAroundThermostat(self) -> tuple[unit.Quantity, unit.Quantity]:
-        """Return translational and rotational temperatures, averaged over before and after the last heat exchange.
+        """Return the translational and rotational temperatures around the last heat exchange.
 
-        With "BAOAB" and "ABOBA" the thermostat acts in the middle of a step, where momenta are closer to canonical. At
-        the end of the step, `temperatures` and the velocities of the Context are biased.
+        They are means of the temperatures before and after the exchange. With "BAOAB" and "ABOBA" the exchange is in
+        the middle of a step, where the distribution of momenta is closer to canonical; `temperatures` and the
+        velocities of the Context, which are those at the end of the step, are biased.
 
         Raises
         ------
@@ -91,7 +94,7 @@ class HeatedIntegrator(ThermostattedIntegrator):
         Raises
         ------
         ValueError
-            With friction on the device, which does not record the heat.
+            If friction acts on the device, which does not record the heat.
         """
         if self._propagator is not None and self.getEngine() != "host" and self._thermostat.factors is None:
             raise ValueError(NO_BALANCE)
@@ -100,15 +103,15 @@ class HeatedIntegrator(ThermostattedIntegrator):
     def effectiveEnergy(self) -> unit.Quantity:
         """Return the total energy at the last heat exchange minus the heat, a conserved quantity.
 
-        Its drift and noise are integration errors, of the order of the scheme. `totalEnergy` is the energy at the end
-        of the step. With a scheme that ends with a drift after the heat exchange, such as the default, momenta lag
-        behind positions there, and the total energy fluctuates by an amount proportional to the step size. The
-        effective energy also changes with a barostat, with a ``CMMotionRemover``, when positions or velocities are set
-        and, with such a scheme, when the step size is set.
+        The drift and the noise of this quantity are integration errors, of the order of the scheme. In contrast,
+        `totalEnergy` is the energy at the end of the step. With a scheme that ends with a drift after the heat
+        exchange, such as the default, momenta lag behind positions at the end of the step, and `totalEnergy` fluctuates
+        by an amount proportional to the step size. A barostat, a ``CMMotionRemover`` and the setting of positions or
+        velocities also change the effective energy; with such a scheme, so does the setting of the step size.
 
         Raises
         ------
         ValueError
-            With friction on the device, which does not record the heat.
+            If friction acts on the device, which does not record the heat.
         """
         return self._energyAtExchange() - self.heat()

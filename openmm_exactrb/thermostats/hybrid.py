@@ -1,9 +1,9 @@
 """Generalised hybrid Monte Carlo of rigid bodies: the canonical distribution at any step size.
 
-A splitting makes a proposal, Metropolis's rule accepts or rejects it, and momenta are reversed on rejection: A. M.
-Horowitz (1991), doi:10.1016/0370-2693(91)90812-5. With a thermostat that preserves the canonical distribution between
-the proposals, the distribution is correct at any step size. The splitting must be symmetric in time and preserve the
-volume of phase space.
+A splitting generates a proposal, Metropolis's rule accepts or rejects it, and momenta are reversed on rejection: A. M.
+Horowitz (1991), doi:10.1016/0370-2693(91)90812-5. A thermostat that preserves the canonical distribution acts between
+the proposals, so that the sampled distribution is correct at any step size. The splitting must be symmetric in time and
+preserve the volume of phase space.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from openmm_exactrb.thermostats.langevin import ExactRigidBodyLangevinIntegrator
 
 
 class Tally(NamedTuple):
-    """The numbers of proposals and of accepted proposals."""
+    """The numbers of accepted proposals and of all proposals."""
 
     accepted: int = 0
     proposed: int = 0
@@ -38,21 +38,21 @@ class Tally(NamedTuple):
 def accepts(rise: float, kT: float, u: float) -> bool:
     """Return whether Metropolis's rule accepts a given rise of the total energy; u is uniform on (0, 1).
 
-    A rise of nan is rejected.
+    A proposal with a rise of nan is rejected.
     """
     return bool(rise <= 0.0 or u < math.exp(-rise / kT))
 
 
 @dataclass(frozen=True)
 class Metropolis(Substep):
-    """A proposal and Metropolis's decision.
+    """A proposal and its acceptance or rejection by Metropolis's rule.
 
     Parameters
     ----------
     proposal : Scheme
-        Symmetric in time.
+        The scheme of the proposal, which must be symmetric in time.
     temperature : float
-        In K.
+        Temperature in K.
     """
 
     proposal: Scheme
@@ -71,7 +71,7 @@ class Metropolis(Substep):
             return float(sum(bodies.kinetic_energies(state.rounded)) + forces.energy(state))
 
         def proposed(state: State, tau: float) -> tuple[State, float]:
-            """Return a proposal and the rise of the energy, infinite if the proposal diverges."""
+            """Return a proposal and the rise of the energy, which is infinite if the proposal diverges."""
             before = energy(state)
             try:
                 new = propose(state, tau)
@@ -119,22 +119,22 @@ class HybridMonteCarlo(Langevin):
         """Return None: Metropolis's rule needs energies on the host."""
 
     def steps(self, scheme: Scheme) -> Scheme:
-        """Return a proposal between two halves of Langevin's flow."""
+        """Return a scheme whose step is a proposal between two halves of the heat exchange."""
         proposal = thermostatted.proposal(scheme, self.stepsPerProposal)
         return thermostatted.with_proposals(scheme, Metropolis(proposal, self.temperature))
 
     def splitting(self, scheme: Scheme) -> tuple[Scheme, int]:
-        """Return the proposal."""
+        """Return the scheme of the proposal, and its number of steps."""
         return thermostatted.proposal(scheme, self.stepsPerProposal), self.stepsPerProposal
 
 
 class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
     """Generalised hybrid Monte Carlo: averages without a step-size error.
 
-    A step is a proposal between two halves of the flow of `ExactRigidBodyLangevinIntegrator`'s thermostat
-    (doi:10.1016/0370-2693(91)90812-5). The splitting makes the proposal, a Metropolis test accepts or rejects it, and
-    momenta are reversed on rejection, so that the trajectory has no dynamical meaning. The distribution is canonical at
-    any step size, up to the errors of the platform's potential energy.
+    A step is a proposal between two halves of the heat exchange of `ExactRigidBodyLangevinIntegrator`
+    (doi:10.1016/0370-2693(91)90812-5). The splitting generates the proposal, a Metropolis test accepts or rejects it,
+    and momenta are reversed on rejection, so that the trajectory has no dynamical meaning. The distribution is
+    canonical at any step size, up to the errors of the platform's potential energy.
 
     Parameters
     ----------
@@ -143,15 +143,15 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
     stepSize : float or Quantity, optional
         Duration of a proposal, in ps if it has no unit. Pass either ``stepSize`` or ``forceInterval``.
     scheme, rotor, rotationalFriction, flexibleFriction, bodies, fast, inner, innerSteps, forceInterval, checkDivergence
-        As in `ExactRigidBodyLangevinIntegrator`; the scheme must be symmetric and contain no thermostat, like the
-        default, "S2_2". The number of inner steps is that of one step of the scheme.
+        As in `ExactRigidBodyLangevinIntegrator`; the scheme must be symmetric and contain no thermostat, as is the case
+        for the default, "S2_2". ``innerSteps`` is the number of inner steps in one step of the scheme.
     stepsPerProposal : int, optional
         Number of steps of the scheme in a proposal, each of the size stepSize/stepsPerProposal.
 
     Raises
     ------
     ValueError
-        As `ExactRigidBodyLangevinIntegrator`, and if the temperature is zero, the scheme or the inner scheme is not
+        As for `ExactRigidBodyLangevinIntegrator`, and if the temperature is zero, the scheme or the inner scheme is not
         symmetric, or ``stepsPerProposal`` is not a positive whole number.
     """
 
@@ -178,7 +178,7 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
 
     @property
     def forceEvaluationsPerStep(self) -> int:
-        """Force evaluations per proposal. A rejection, or a scheme that begins with a drift, needs one more.
+        """Number of force evaluations per proposal. A rejection, or a scheme that begins with a drift, needs one more.
 
         The potential energy is computed together with the forces.
         """
@@ -189,7 +189,7 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
         return Tally(*(int(variables.get(self, name)) for name in (variables.ACCEPTED, variables.PROPOSED)))
 
     def acceptanceRate(self) -> float:
-        """Return the fraction of accepted proposals; nan before the first proposal."""
+        """Return the fraction of accepted proposals, which is nan before the first proposal."""
         accepted, proposed = self.tally()
         return accepted / proposed if proposed else math.nan
 

@@ -1,8 +1,8 @@
 """Langevin dynamics: friction and noise by the exact Ornstein-Uhlenbeck flow of momenta.
 
-Momenta are P (2, 3, N) in space and m (2, 3, K) in the body frame, sums high + low of
-`openmm_exactrb.mathematics.compensated`, or (1, 3, N) and (1, 3, K) without the low part. The first K of N bodies
-rotate.
+Momenta are P (2, 3, N) in space and m (2, 3, K) in the body frame, as double-doubles of
+`openmm_exactrb.mathematics.compensated`; without low parts their shapes are (1, 3, N) and (1, 3, K). The first K of the
+N bodies rotate.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from openmm_exactrb.thermostat import Exchange, Thermostat
 from openmm_exactrb.thermostats.face import HeatedIntegrator, Options
 
 _RATE = unit.picosecond**-1
-# Different times of a heat exchange in a step whose factors are kept.
+# Number of different times of a heat exchange for which factors are cached.
 _TIMES = 16
 _BACKWARD = "stepSize must be positive when friction is non-zero"
 
@@ -43,14 +43,14 @@ class Langevin(Thermostat):
     Parameters
     ----------
     temperature : float or Quantity
-        In K if it has no unit.
+        Temperature, in K if it has no unit.
     friction : float or Quantity
         Friction of translation, in 1/ps if it has no unit.
     rotationalFriction : float or Quantity, optional
-        Friction of rotation, in 1/ps if it has no unit; by default that of translation.
+        Friction of rotation, in 1/ps if it has no unit; by default the friction of translation.
     flexibleFriction : float or Quantity, optional
-        Friction of translation and rotation of all bodies in molecules of more than one body, such as a protein, in
-        1/ps if it has no unit; by default the frictions of the other bodies.
+        Friction of translation and of rotation for all bodies in molecules of more than one body, such as a protein, in
+        1/ps if it has no unit; by default the same frictions as for other bodies.
     """
 
     temperature: float
@@ -75,12 +75,12 @@ class Langevin(Thermostat):
 
     @property
     def flexible_frictions(self) -> tuple[float, float]:
-        """The frictions of bodies in molecules of more than one body."""
+        """The frictions of translation and of rotation, in 1/ps, of bodies in molecules of more than one body."""
         return self.frictions if self.flexibleFriction is None else (self.flexibleFriction, self.flexibleFriction)
 
     @property
     def relaxation(self) -> float | None:
-        """The inverse (ps) of the smallest nonzero friction."""
+        """The inverse (ps) of the smallest nonzero friction, or None without friction."""
         rates = [rate for rate in (*self.frictions, *self.flexible_frictions) if rate > 0.0]
         return 1.0 / min(rates) if rates else None
 
@@ -95,7 +95,7 @@ class Langevin(Thermostat):
         return ornstein_uhlenbeck(bodies.mass, bodies.principal_moments, kT, *frictions)
 
     def kernel_exchange(self, tau: float, freedom: tuple[int, int]) -> tuple[float, ...]:
-        """Return the fade and the spread of translation and of rotation, then those of bodies in flexible molecules."""
+        """Return exp(-g tau) - 1 and the width of the noise, for each of `frictions` and of `flexible_frictions`."""
         kT = gas_constant_times(self.temperature)
         rates = *self.frictions, *self.flexible_frictions
         if tau < 0.0 and any(rates):
@@ -111,21 +111,22 @@ def _rate(friction: Any) -> float:
 def ornstein_uhlenbeck(
     mass: Array, moments: Array, kT: float, friction: float | Array, rotational_friction: float | Array
 ) -> Exchange:
-    """Prepare the exact flow of dP = -g P dt + sqrt(2 g M kT) dW, and that of m with I and its own friction.
+    """Return the exact flow of dP = -g P dt + sqrt(2 g M kT) dW, and of its analogue for m with I.
 
-    It is P <- a P + sqrt((1 - a²) kT M) xi with a = exp(-g tau). Two successive flows equal one over the sum of their
-    times, and the Maxwell-Boltzmann distribution is invariant. For splittings with this flow see B. Leimkuhler and C.
-    Matthews (2013), doi:10.1063/1.4802990.
+    The flow is P <- a P + sqrt((1 - a²) kT M) xi with a = exp(-g tau). Two successive flows are equivalent to one flow
+    over the sum of their times, and the Maxwell-Boltzmann distribution is invariant. For splittings with this flow see
+    B. Leimkuhler and C. Matthews (2013), doi:10.1063/1.4802990.
 
-    Masses (N,) and principal moments (3, K) that are zero receive no noise. A friction applies to all bodies, or is an
-    array of one for each. If all are 0, the momenta are returned unchanged; otherwise times must not be negative.
+    Momenta whose masses (N,) or principal moments (3, K) are zero receive no noise. A friction is a number for all
+    bodies, or an array with a number for each body. If all frictions are 0, the momenta are returned unchanged;
+    otherwise times must not be negative.
     """
     width_P, width_m = np.sqrt(kT * np.tile(mass, (3, 1))), np.sqrt(kT * moments)
     fade_P, fade_m = _fading(friction, width_P), _fading(rotational_friction, width_m)
     advance = advancing()
 
     def relaxed(x: Array, fading: _Fading, tau: float, at: Instant, part: Purpose) -> Array:
-        """Return momenta after a time."""
+        """Return momenta after friction and noise over a time."""
         if (found := fading(tau)) is None:
             return x
         fade, spread = found
@@ -146,10 +147,11 @@ _Fading = Callable[[float], tuple[Array, Array] | None]
 
 
 def _fading(friction: float | Array, width: Array) -> _Fading:
-    """Return a function of tau for exp(-g tau) - 1 and the standard deviation of the noise; None if nothing changes.
+    """Return a function of tau that returns exp(-g tau) - 1 and the standard deviation of the noise, or None.
 
-    The factor minus 1 is used because rounding errors of a change of momenta vanish together with the friction. A
-    single friction and an array of frictions use the same function, so that their results are bit-identical.
+    None means that momenta do not change. The factor minus 1 is used because rounding errors of a change of momenta
+    vanish together with the friction. A single friction and an array of frictions use the same function, so that their
+    results are bit-identical.
     """
     rates, kinds = np.unique(friction, return_inverse=True)
     kinds = kinds.reshape(np.shape(friction))
@@ -172,32 +174,33 @@ class ExactRigidBodyLangevinIntegrator(HeatedIntegrator):
 
     Friction and noise act on linear momenta and on angular momenta in the principal axes of each body; linear molecules
     have two rotational degrees of freedom, and particles none. All other arguments and methods are those of
-    `ExactRigidBodyIntegrator`. A scheme of the catalogue is enclosed by two halves of the Ornstein-Uhlenbeck flow;
+    `ExactRigidBodyIntegrator`. A scheme of the catalogue is applied between two halves of the Ornstein-Uhlenbeck flow;
     without friction the trajectory is bit-identical to that of `ExactRigidBodyIntegrator`.
 
     Parameters
     ----------
     temperature : float or Quantity
-        In K if it has no unit.
+        Temperature, in K if it has no unit.
     frictionCoeff : float or Quantity
         Friction of translation, in 1/ps if it has no unit.
     stepSize : float or Quantity, optional
         Size of a whole step of the scheme, in ps if it has no unit. Pass either ``stepSize`` or ``forceInterval``.
     scheme : str or Scheme, optional
-        A key of `openmm_exactrb.SCHEMES` without a processor, or of `openmm_exactrb.schemes.WITH_THERMOSTAT`, whose
-        schemes contain the thermostat, or a scheme of your own. The default, "BAOA", is the splitting of
-        LangevinMiddleIntegrator and evaluates the forces once per step. "W2_3m" evaluates them three times per step;
-        with it, the temperatures of translation and rotation of rigid water are within 1 K of each other up to 6 fs per
-        force evaluation (SPC/E, TIP4P/2005; friction 5/ps). Both end a step with a drift after the heat exchange. Since
-        this drift would change the momenta of bodies with inner steps, these bodies end the step at the heat exchange.
+        A key of `openmm_exactrb.SCHEMES` for a scheme without a processor, a key of
+        `openmm_exactrb.schemes.WITH_THERMOSTAT`, whose schemes contain the thermostat, or a scheme of your own. The
+        default, "BAOA", is the splitting of LangevinMiddleIntegrator and evaluates the forces once per step. "W2_3m"
+        evaluates them three times per step; with it, the temperatures of translation and rotation of rigid water are
+        within 1 K of each other up to 6 fs per force evaluation (SPC/E, TIP4P/2005; friction 5/ps). With either scheme,
+        a step ends with a drift after the heat exchange. Since this drift would change the momenta of bodies with inner
+        steps, these bodies end the step at the heat exchange.
     rotor : str or Rotor, optional
         A key of `openmm_exactrb.ROTORS`, or a `Rotor` of your own.
     rotationalFriction : float or Quantity, optional
-        Friction of rotation, in 1/ps if it has no unit; by default that of translation.
+        Friction of rotation, in 1/ps if it has no unit; by default the friction of translation.
     flexibleFriction : float or Quantity, optional
         Friction of molecules that consist of more than one body, such as a protein or a flexible molecule, in 1/ps if
-        it has no unit; by default that of all bodies. It controls the temperature of a protein at long steps without
-        affecting the diffusion of water. Molecules are those of ``Context.getMolecules``.
+        it has no unit; by default the frictions of all other bodies. This friction controls the temperature of a
+        protein at long steps without affecting the diffusion of water. Molecules are those of ``Context.getMolecules``.
     bodies, fast, inner, innerSteps, forceInterval, checkDivergence : optional
         As in `ExactRigidBodyIntegrator`.
     engine : {"auto", "host", "device"}, optional
@@ -237,7 +240,7 @@ class ExactRigidBodyLangevinIntegrator(HeatedIntegrator):
         return self._thermostat.frictions[0] * _RATE
 
     def setFriction(self, coeff: float | unit.Quantity) -> None:
-        """Set the friction of translation, and of rotation unless set separately, in 1/ps if it has no unit."""
+        """Set the friction of translation, and of rotation unless it is set separately, in 1/ps if it has no unit."""
         self._change(friction=coeff)
 
     def getRotationalFriction(self) -> unit.Quantity:
@@ -245,7 +248,7 @@ class ExactRigidBodyLangevinIntegrator(HeatedIntegrator):
         return self._thermostat.frictions[1] * _RATE
 
     def setRotationalFriction(self, coeff: float | unit.Quantity | None) -> None:
-        """Set the friction of rotation, in 1/ps if it has no unit; None means that of translation."""
+        """Set the friction of rotation, in 1/ps if it has no unit; None means the friction of translation."""
         self._change(rotationalFriction=coeff)
 
     def getFlexibleFriction(self) -> unit.Quantity:
@@ -253,7 +256,7 @@ class ExactRigidBodyLangevinIntegrator(HeatedIntegrator):
         return self._thermostat.flexible_frictions[0] * _RATE
 
     def setFlexibleFriction(self, coeff: float | unit.Quantity | None) -> None:
-        """Set the friction of molecules of more than one body, in 1/ps if it has no unit; None means that of all."""
+        """Set the friction of molecules of more than one body, in 1/ps if it has no unit; None restores the default."""
         self._change(flexibleFriction=coeff)
 
     def _arguments(self) -> dict[str, Any]:

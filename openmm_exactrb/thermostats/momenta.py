@@ -1,4 +1,4 @@
-"""Momenta drawn at intervals."""
+"""Sampling of the canonical ensemble by momenta that are drawn at intervals."""
 
 from __future__ import annotations
 
@@ -17,22 +17,23 @@ class CanonicalMomenta:
     """Sample the canonical ensemble by drawing all momenta at intervals.
 
     Between two draws the run is at constant energy. This is Andersen's thermostat (J. Chem. Phys. 72, 2380 (1980))
-    applied to all bodies at once: static averages are canonical up to the error of the scheme, and time correlations
-    longer than an interval are not those of the free system.
+    applied to all bodies at once: static averages are canonical up to the error of the scheme, but time correlations
+    over more than an interval are not those of the system at constant energy.
 
     Parameters
     ----------
     temperature : float or Quantity
-        In K if it has no unit.
+        Temperature, in K if it has no unit.
     reportInterval : int
-        Steps between two draws.
+        Number of steps between two draws.
     seed : int
+        Seed of the random numbers.
 
     Raises
     ------
     ValueError
         If the temperature is negative or not finite, or the interval or the seed is not a whole number. The first step
-        raises it if the integrator is not one of this package or has its own thermostat.
+        also raises this error if the integrator is not one of this package or has its own thermostat.
 
     Notes
     -----
@@ -50,7 +51,7 @@ class CanonicalMomenta:
         return f"{self._temperature!r} K every {self._interval} steps, seed {self._seed}"
 
     def describeNextReport(self, simulation: Any) -> dict[str, Any]:
-        """Return when momenta are due, as OpenMM requires."""
+        """Return the number of steps to the next draw, in the form that OpenMM requires."""
         integrator = simulation.integrator
         if not isinstance(integrator, ExactRigidBodyIntegrator) or isinstance(integrator, ThermostattedIntegrator):
             raise ValueError(
@@ -61,7 +62,7 @@ class CanonicalMomenta:
         return {"steps": steps, "periodic": None, "include": []}
 
     def report(self, simulation: Any, state: Any) -> None:
-        """Draw momenta.
+        """Draw all momenta.
 
         Parameters
         ----------

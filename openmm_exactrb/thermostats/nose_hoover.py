@@ -1,7 +1,7 @@
 """Nosé-Hoover chains for rigid bodies: deterministic, time-reversible, with a conserved quantity.
 
 Translation and rotation have one chain each, or share one: G. J. Martyna, M. L. Klein and M. Tuckerman, J. Chem. Phys.
-97, 2635 (1992), doi:10.1063/1.463940. The flow of the chain and of the kinetic energy that it scales is the
+97, 2635 (1992), doi:10.1063/1.463940. The flow of the chain and of the kinetic energy that it scales is computed by the
 time-reversible splitting of G. J. Martyna, M. E. Tuckerman, D. J. Tobias and M. L. Klein, Mol. Phys. 87, 1117 (1996),
 doi:10.1080/00268979600100761. It needs only the kinetic energies of the bodies, so that angular momenta are scaled in
 the same way as linear momenta.
@@ -38,8 +38,8 @@ _SUZUKI = 1.0 / (4.0 - 4.0 ** (1.0 / 3.0))
 _SIXTH = (0.78451361047755726382, 0.23557321335935813368, -1.17767998417887100695)
 #: Substeps of the chain by their number, of order 2, 4, 4 and 6: H. Yoshida (1990), doi:10.1016/0375-9601(90)90092-3,
 #: and M. Suzuki (1990), doi:10.1016/0375-9601(90)90962-N. The cubes of those of order 4 add up to zero. OpenMM, GROMACS
-#: and others have 2^(-1/3) and 4^(-1/3) instead of 2^(1/3) and 4^(1/3) under 3 and 5: with these, 0.829 and 0.297, the
-#: cubes add up to 0.85 and 0.098, and the order is 2.
+#: and others have 2^(-1/3) and 4^(-1/3) instead of 2^(1/3) and 4^(1/3) for 3 and 5 substeps: with these weights, 0.829
+#: and 0.297, the cubes add up to 0.85 and 0.098, and the order is 2.
 WEIGHTS: Mapping[int, tuple[float, ...]] = {
     1: (1.0,),
     3: (_YOSHIDA, 1.0 - 2.0 * _YOSHIDA, _YOSHIDA),
@@ -50,21 +50,22 @@ WEIGHTS: Mapping[int, tuple[float, ...]] = {
 
 @dataclass(frozen=True)
 class NoseHooverChain(Thermostat):
-    """Nosé-Hoover chains: thermostats with a coordinate and a velocity each; the first one scales momenta.
+    """Nosé-Hoover chains, whose links have a coordinate and a velocity each; the first link scales momenta.
 
     Parameters
     ----------
     temperature : float or Quantity
-        In K if it has no unit; above zero.
+        Temperature, in K if it has no unit; it must be above zero.
     collisionFrequency : float or Quantity
-        Collision frequency of the chain, in 1/ps if it has no unit; above zero.
+        Collision frequency of the chain, in 1/ps if it has no unit; it must be above zero.
     chainLength : int, optional
+        Number of links in a chain.
     numMTS : int, optional
-        Repetitions of a substep of the chain.
+        Number of repetitions of the substeps of the chain.
     numYoshidaSuzuki : {1, 3, 5, 7}, optional
-        Substeps of the chain in the splitting of its flow.
+        Number of substeps in the splitting of the flow of the chain.
     together : bool, optional
-        Whether translation and rotation have one chain; if not, each has its own.
+        Whether translation and rotation share one chain; otherwise, each has its own.
     """
 
     temperature: float
@@ -93,7 +94,7 @@ class NoseHooverChain(Thermostat):
 
     @property
     def own_numbers(self) -> tuple[str, ...]:
-        """The coordinates and velocities of the chains."""
+        """The names of the coordinates and velocities of the chains."""
         return tuple(name for chain in range(1 if self.together else 2) for name in self._names(chain))
 
     @cached_property
@@ -106,7 +107,7 @@ class NoseHooverChain(Thermostat):
 
     @property
     def factors(self) -> Factors:  # type: ignore[override]
-        """The kernel of the chains, for their length and their substeps."""
+        """The device kernel of the chains, with their length and their substeps as defines."""
         weights = WEIGHTS[self.numYoshidaSuzuki]
         sizes = ("CHAIN", self.chainLength), ("REPETITIONS", self.numMTS), ("N_WEIGHTS", len(weights))
         return Factors("nose_hoover", (*sizes, ("WEIGHTS", ", ".join(map(repr, weights)))), len(self.own_numbers))
@@ -130,12 +131,12 @@ class NoseHooverChain(Thermostat):
         return multiplication(bodies.mass, bodies.principal_moments, freedom, self.together, factor)
 
     def moved(self, chain: Array, kinetic: float, freedom: int, tau: float) -> tuple[float, Array]:
-        """Return the factor that multiplies momenta over a time (ps), and the chain afterwards.
+        """Return the factor by which momenta are multiplied over a time tau (ps), and the chain after this time.
 
-        The order of the substeps is palindromic, so that a flow over -tau is the inverse. Volume changes as in the
-        equations of motion, by the displacement of the coordinates: the measure of the extended phase space is
-        preserved exactly. A chain (2, chainLength) consists of coordinates, and of velocities in 1/ps. Without degrees
-        of freedom nothing changes.
+        The order of the substeps is palindromic, so that the flow over -tau is the inverse flow. As in the equations of
+        motion, the displacement of the coordinates determines the change of volume, so that the measure of the extended
+        phase space is preserved exactly. A chain is an array (2, chainLength) of coordinates and of velocities in 1/ps.
+        Without degrees of freedom nothing changes.
         """
         if not freedom:
             return 1.0, chain
@@ -151,13 +152,14 @@ class NoseHooverChain(Thermostat):
         return scale, moved
 
     def _pushed(self, chain: list[list[float]], kinetic: float, freedom: int, tau: float) -> tuple[float, Array]:
-        # Numbers of Python, which for a few at a time are faster than arrays. By the masses a velocity is pushed by
-        # frequency² times (what the link below has of the energy kT/2, or momenta of f kT/2, less 1).
+        # Python floats are used because they are faster than short arrays. With the masses of the links, the
+        # acceleration of a link is frequency² times (r - 1), where r is the kinetic energy of the previous link over
+        # kT/2 or, for the first link, the kinetic energy of momenta with f degrees of freedom over f kT/2.
         x, v = chain
         links, scale = range(len(v)), 1.0
         square, ratio = self.collisionFrequency**2, 2.0 * kinetic / (freedom * self._kT)
-        below = [float(freedom), *[1.0] * len(v)]  # masses over that of the last link
-        v.append(0.0)  # of no link, which drags nothing
+        below = [float(freedom), *[1.0] * len(v)]  # masses in units of that of the last link
+        v.append(0.0)  # of a link that does not exist, without drag
 
         def push(link: int, h: float) -> None:
             speed = v[link - 1]
@@ -182,7 +184,7 @@ class NoseHooverChain(Thermostat):
         return np.array([freedom * link, *[link] * (self.chainLength - 1)])
 
     def energy(self, values: Mapping[str, float], freedoms: tuple[int, int]) -> float:
-        """Return the energy (kJ/mol) of the chains; its sum with that of the bodies is conserved.
+        """Return the energy (kJ/mol) of the chains; the sum of this energy and that of the bodies is conserved.
 
         It is computed from the values of `own_numbers`, for given translational and rotational degrees of freedom.
         """
@@ -207,10 +209,10 @@ class ExactRigidBodyNoseHooverIntegrator(ThermostattedIntegrator):
 
     Notes
     -----
-    The default scheme is "BAOAB": a step is symmetric in time, and evaluates forces once. Velocities at the end of a
-    step differ by half a kick from those that the chains scale, and `temperatures` returns less than the temperature of
-    the chains by an amount proportional to the square of the step. `temperaturesAroundThermostat` returns the
-    temperatures of the chains.
+    The default scheme is "BAOAB", whose steps are symmetric in time and evaluate forces once. Velocities at the end of
+    a step differ by half a kick from the velocities that the chains scale; the results of `temperatures` are therefore
+    below the temperature of the chains by an amount proportional to the square of the step.
+    `temperaturesAroundThermostat` returns the temperatures of the chains.
 
     Momenta that are all zero stay zero: draw initial momenta with `setVelocitiesToTemperature`. Checkpoints and States
     can be loaded only with the same chain length. Small or stiff systems may not be ergodic; a harmonic oscillator with
@@ -244,9 +246,9 @@ class ExactRigidBodyNoseHooverIntegrator(ThermostattedIntegrator):
         self._change(collisionFrequency=frequency)
 
     def conservedEnergy(self) -> unit.Quantity:
-        """Return the total energy at the last heat exchange plus that of the chains.
+        """Return the total energy at the last heat exchange plus the energy of the chains.
 
-        It is conserved as well as the total energy of the scheme without a thermostat. A barostat or a
+        It is conserved to the same accuracy as the total energy of the scheme without a thermostat. A barostat or a
         ``CMMotionRemover`` changes it, and so does setting positions or velocities.
         """
         freedoms = self.degreesOfFreedom()

@@ -1,7 +1,7 @@
-"""Stochastic velocity rescaling: the kinetic energy becomes canonical, and the motion is hardly disturbed.
+"""Stochastic velocity rescaling, which samples the canonical kinetic energy with little disturbance of the motion.
 
-G. Bussi, D. Donadio and M. Parrinello (2007), doi:10.1063/1.2408420. All momenta are multiplied by one number, drawn
-from the exact distribution of the kinetic energy a time tau later.
+G. Bussi, D. Donadio and M. Parrinello (2007), doi:10.1063/1.2408420. All momenta are multiplied by one number, such
+that the kinetic energy is drawn from its exact distribution a time tau later.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ class StochasticRescaling(Thermostat):
     Parameters
     ----------
     temperature : float or Quantity
-        In K if it has no unit.
+        Temperature, in K if it has no unit.
     relaxationTime : float or Quantity
         Relaxation time of the kinetic energy, in ps if it has no unit.
     together : bool, optional
-        Whether one number multiplies all momenta; otherwise translation and rotation have one each.
+        Whether one number multiplies all momenta; otherwise, translation and rotation have one number each.
     """
 
     temperature: float
@@ -61,7 +61,7 @@ class StochasticRescaling(Thermostat):
         switch(self.together, "together")
 
     def kernel_exchange(self, tau: float, freedom: tuple[int, int]) -> tuple[float, ...]:
-        """Return kT, the relaxation time, the degrees of freedom, and whether one number is for all."""
+        """Return kT, the relaxation time, the degrees of freedom, and whether one number multiplies all momenta."""
         if tau < 0.0:
             raise ValueError(_BACKWARD)
         return gas_constant_times(self.temperature), self.relaxationTime, *map(float, freedom), float(self.together)
@@ -76,10 +76,10 @@ class StochasticRescaling(Thermostat):
 def rescaling(
     mass: Array, moments: Array, kT: float, time: float, freedom: tuple[int, int], together: bool
 ) -> Exchange:
-    """Prepare the exact flow of stochastic velocity rescaling; `time` is the paper's tau.
+    """Return the exact flow of stochastic velocity rescaling; `time` is the relaxation time, tau in the paper.
 
-    The total energy minus the heat is the paper's effective energy: it is conserved as well as the total energy of the
-    splitting without a thermostat. Momenta that are all zero have no direction and stay zero.
+    The total energy minus the heat is the effective energy of the paper. It is conserved to the same accuracy as the
+    total energy of the splitting without a thermostat. Momenta that are all zero have no direction and stay zero.
     """
 
     def factor(part: int, kinetic: float, f: int, tau: float, at: Instant) -> float:
@@ -95,9 +95,9 @@ def rescaling(
 
 
 def multiplication(mass: Array, moments: Array, freedom: tuple[int, int], together: bool, factor: Factor) -> Exchange:
-    """Return the multiplication of all momenta by one factor, or of those of translation and of rotation by one each.
+    """Return an exchange that multiplies all momenta by one factor, or translation and rotation by one factor each.
 
-    Masses are (N,) and principal moments (3, K): zero along the axis of a linear body.
+    Masses are (N,) and principal moments (3, K); a moment is zero along the axis of a linear body.
     """
     (of_P, of_m), rate_P, rate_m = freedom, reciprocal(mass), reciprocal(moments)
 
@@ -113,18 +113,19 @@ def multiplication(mass: Array, moments: Array, freedom: tuple[int, int], togeth
 
 
 def kinetic_energy(x: Array, rate: Array) -> float:
-    """Return x . x rate / 2 of momenta (2, 3, N) and reciprocal masses or moments."""
+    """Return the kinetic energy of momenta (2, 3, N), with their reciprocal masses or moments as `rate`."""
     return 0.5 * float(np.sum(x[0] * x[0] * rate))
 
 
 def scaling(kinetic: float, kT: float, elapsed: float, along: float, across: float) -> float:
     """Return the factor for momenta with a given kinetic energy, as in the appendix of Bussi et al. (2007).
 
-    In units where kT is one, the momenta are a vector of length r, each component of which relaxes as in
-    `openmm_exactrb.thermostats.langevin`. Before, the component along the vector is r and the others are zero; the
-    factor is the length of the vector afterwards divided by r. Its sign is that of the first component: G. Bussi and M.
-    Parrinello (2008), doi:10.1016/j.cpc.2008.01.006. The time `elapsed` is in relaxation times, `along` is a standard
-    normal variate, and `across` is the sum of the squares of as many variates as there are other degrees of freedom.
+    In units where kT is one, the momenta form a vector of length r, each component of which relaxes as in
+    `openmm_exactrb.thermostats.langevin`. Initially, the first component, along the vector, is r and the others are
+    zero. The factor is the final length of the vector divided by r, with the sign of the first component: G. Bussi and
+    M. Parrinello (2008), doi:10.1016/j.cpc.2008.01.006. The time `elapsed` is in relaxation times, `along` is a
+    standard normal variate, and `across` is the sum of the squares of further such variates, one for each other degree
+    of freedom.
     """
     noise = -math.expm1(-elapsed) * kT / (2.0 * kinetic)
     first = math.exp(-0.5 * elapsed) + math.sqrt(noise) * along
@@ -137,7 +138,7 @@ def reciprocal(x: Array) -> Array:
 
 
 def scaled(x: Array, factor: float) -> Array:
-    """Return a sum (2, ...) times a number close to one."""
+    """Return double-doubles (2, ...) times a factor close to one."""
     return x if factor == 1.0 else add(x, (factor - 1.0) * x[0])
 
 
@@ -145,7 +146,7 @@ class ExactRigidBodyRescalingIntegrator(HeatedIntegrator):
     """Rigid-body dynamics at constant temperature with little disturbance: stochastic velocity rescaling.
 
     At every step, all momenta are multiplied by one number, such that the kinetic energy has its canonical distribution
-    (doi:10.1063/1.2408420). Unlike friction, this hardly changes diffusion and time correlations.
+    (doi:10.1063/1.2408420). Unlike friction, this has little effect on diffusion and time correlations.
 
     Parameters
     ----------
@@ -157,8 +158,8 @@ class ExactRigidBodyRescalingIntegrator(HeatedIntegrator):
     Notes
     -----
     Momenta that are all zero stay zero: draw initial momenta with `setVelocitiesToTemperature`. This thermostat
-    preserves a total momentum of zero. If the forces of the System do so too, add a ``CMMotionRemover``, so that three
-    of the `degreesOfFreedom` are subtracted.
+    preserves a total momentum of zero. If the forces of the System also preserve it, add a ``CMMotionRemover``, so that
+    three of the `degreesOfFreedom` are subtracted.
     """
 
     _thermostat: StochasticRescaling
