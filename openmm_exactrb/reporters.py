@@ -146,7 +146,7 @@ class MomentReporter(_Lines):
         Raises
         ------
         ValueError
-            If the number of charges is not the number of particles, or a molecule is not neutral.
+            If the number of charges differs from the number of particles, or a molecule is not neutral.
         """
         self._links_of(simulation)
         return {"steps": self._steps_left(simulation), "periodic": False, "include": ["positions"]}

@@ -1,4 +1,4 @@
-"""Access to the bodies of an integrator: energies, temperatures, states."""
+"""Access to the bodies of an integrator: energies, temperatures and states."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Temperatures = tuple[unit.Quantity, unit.Quantity]
 
 
 class BodyAccess:
-    """The bodies of an integrator's Context: energies, temperatures, states."""
+    """The bodies of an integrator's Context: energies, temperatures and states."""
 
     timings: Timings
 

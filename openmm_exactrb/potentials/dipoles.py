@@ -198,7 +198,7 @@ def context_parameters(
 
 
 class SoftDipoles:
-    """The function of the PythonForce of soft dipoles; it can be pickled.
+    """The function that the PythonForce of soft dipoles calls; it can be pickled.
 
     Parameters
     ----------

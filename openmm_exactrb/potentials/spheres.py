@@ -36,7 +36,7 @@ class SphereCutoff(NamedTuple):
 def cutoff_in(
     edges: Sequence[float] | None, sigma: float, cutoff: float | None, switch: float | None, *, shifted: bool
 ) -> SphereCutoff | None:
-    """Return the given or default cutoff in a box with these edges (nm); raise ValueError if it is too long."""
+    """Return the given or default cutoff in a box with these edges (nm); raise ValueError if the cutoff is too long."""
     if edges is None:
         if cutoff is not None or switch is not None or shifted:
             raise ValueError(
