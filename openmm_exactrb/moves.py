@@ -17,7 +17,7 @@ MOVE = re.compile(r"\bDEVICE\s+(?:inline\s+)?void\s+(\w+)\s*\(\s*Body\s*\*\s*\w+
 
 
 class Op(IntEnum):
-    """The kinds of moves, with the numbers that kernels/moves.cl uses."""
+    """The kinds of moves, with the numbers that the kernels of the device use."""
 
     DRIFT = 0  # free motion
     KICK = 1  # change of momenta by the present forces

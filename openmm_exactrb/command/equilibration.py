@@ -31,7 +31,7 @@ _PART, _LONGEST = 0.2, 5.0
 
 
 def claim(job: Run, args: argparse.Namespace, files: Iterable[str]) -> None:
-    """Prepare the folder of a locked run: delete overwritten files, and raise ValueError for files of other runs.
+    """Prepare the folder of a locked run: delete overwritten files, and raise FileExistsError for files of other runs.
 
     The run writes `files` in addition to the files of this module. If it is resumed without a checkpoint, it creates
     the files of this module again.

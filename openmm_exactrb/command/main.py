@@ -24,8 +24,8 @@ _COMMANDS = {"run": run, "tune": tune, "info": info}
 def main(arguments: Sequence[str] | None = None) -> int:
     """Execute a command line, by default that of the process, and return its exit status.
 
-    The exit status is 0, 2 after an error, which is printed as one line on stderr, 130 after Ctrl-C, or 141 if the
-    reader of the output has ended.
+    The exit status is 0, 1 if `exactrb tune` does not reach its target, 2 after an error, which is printed as one line
+    on stderr, 130 after Ctrl-C, or 141 if the reader of the output has ended.
     """
     args = _parser().parse_args(arguments)
     with warnings.catch_warnings():

@@ -232,7 +232,7 @@ class Synchronisation:
         return self.inner if self._coordinates == coordinates else None
 
     def keep(self, inner: State | None, coordinates: float = 0.0, memory: Remembered = ([], [])) -> None:
-        """Store a state in the inner coordinates with this mark, and the last forces; `push` writes them."""
+        """Store a state in the inner coordinates with this mark, and the last forces, for checkpoints and States."""
         self.inner, self._coordinates, self.memory = inner, coordinates, memory
 
     @functools.cached_property

@@ -83,7 +83,7 @@ class ContextUpdates:
 
     @property
     def act(self) -> bool:
-        """Whether there are barostats or thermostats."""
+        """Whether there are barostats, thermostats or a CMMotionRemover."""
         return self.moves or self.pushes or self.removes_motion
 
     @property

@@ -152,7 +152,7 @@ class Numbers:
 
 
 def write(integrator: openmm.CustomIntegrator, bodies: RigidBodies, state: State, which: str = SHOWN) -> None:
-    """Write the sums of a state, and the `mark` of its presence."""
+    """Write the sums of a state."""
     R, P, q, m = state
     first, turning = bodies.first_particle, bodies.first_particle[: bodies.n_turning]
     full = np.zeros((2, 5, bodies.n_particles, 3))

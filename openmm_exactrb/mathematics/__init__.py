@@ -1,1 +1,1 @@
-"""Mathematical functions that need only NumPy: elliptic functions, compensated sums and quaternions."""
+"""Mathematical functions that need only NumPy and SciPy: elliptic functions, compensated sums and quaternions."""

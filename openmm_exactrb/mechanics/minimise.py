@@ -55,7 +55,7 @@ def minimised(
     position found. The tolerance, in kJ/mol/nm, limits the largest component of a force, and of a torque divided by the
     radius of gyration. The argument `iterations` limits the number of iterations of all searches together; 0 means no
     limit. A NonFiniteError is raised if the energy or a force at the start is not finite, and a MinimisationWarning is
-    issued if no search reaches the tolerance.
+    issued if the energy stops falling before a search reaches the tolerance.
     """
     if not all(np.isfinite(np.sum(part)) for part in landscape(start)):
         closest = f": the closest are {closest_pair(start, box)}" if len(bodies) > 1 else ""

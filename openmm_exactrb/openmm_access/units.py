@@ -60,7 +60,7 @@ def gas_constant_times(temperature: float | unit.Quantity) -> float:
 
 
 def check_first_arguments(step: Any, scheme: Any) -> None:
-    """Raise ValueError for invalid temperature, friction or step size of an integrator with a thermostat."""
+    """Raise ValueError if the first arguments of ExactRigidBodyIntegrator are those of one with a thermostat."""
     warm = unit.is_quantity(step) and step.unit.is_compatible(unit.kelvin)
     if warm or unit.is_quantity(scheme) or isinstance(scheme, (int, float)):
         raise ValueError(

@@ -69,8 +69,8 @@ def soft_dipole_force(
     shifted : bool
         Whether to subtract the energy of two spheres at the cutoff from their energy before the switch is applied.
     kernel : {"auto", "openmm", "bonds", "compiled"}
-        Type of the force. "auto" or "compiled": a kernel in double precision on all cores, about fifty times faster on
-        a CPU. "openmm": a `CustomHbondForce` if there is a cutoff, which OpenCL, CUDA and HIP evaluate on the device.
+        Type of the force. "auto" or "compiled": a kernel in double precision on all cores, the fastest on a CPU.
+        "openmm": a `CustomHbondForce` if there is a cutoff, which OpenCL, CUDA and HIP evaluate on the device.
         "bonds": a `CustomCompoundBondForce` with a bond for each pair, which is faster on Reference and supports any
         cutoff. `Ewald` needs the compiled kernel.
 
@@ -184,7 +184,7 @@ def checked_pairs(pairs: Any, name: str = "arrow", ends: str = "centre, tip") ->
 def context_parameters(
     strength: float, length: float, sigma: float, epsilon: float, attraction: float, *, wca: bool
 ) -> dict[str, float]:
-    """Return the parameters of a Context, which both kernels read."""
+    """Return the parameters of a Context, which all kernels read."""
     strength, length = checks.number(strength, "strength"), checks.positive(length, "length", "nm")
     sigma, epsilon = checks.positive(sigma, "sigma", "nm"), checks.not_negative(epsilon, "epsilon")
     parameters = {"soft_repulsion": 4.0 * epsilon * sigma**12, "dipole_coupling": (strength / length) ** 2}

@@ -11,7 +11,7 @@ from pathlib import Path
 
 @contextlib.contextmanager
 def only_process(folder: Path) -> Iterator[None]:
-    """Hold a lock on a folder until the process ends; raise BlockingIOError if another process holds it.
+    """Hold a lock on a folder until the block or the process ends; raise BlockingIOError if another process holds it.
 
     Windows has no such locks, and the folder is not locked there.
     """

@@ -22,7 +22,7 @@ Outer = Literal["drift", "kick"]
 
 @dataclass(frozen=True)
 class Scheme:
-    """A symmetric splitting scheme.
+    """A splitting scheme.
 
     Attributes
     ----------

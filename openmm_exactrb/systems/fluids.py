@@ -108,7 +108,7 @@ def dipole_fluid(
     Parameters
     ----------
     n : int
-        Number of spheres, on the innermost sites of a cubic lattice about the origin, with random orientations.
+        Number of spheres, on the first sites of a cubic lattice about the origin, with random orientations.
     seed : int
     mass : float
         In amu.
@@ -313,7 +313,7 @@ def rigid_water(
     Parameters
     ----------
     n : int
-        Number of molecules. A droplet occupies the innermost sites of a cubic lattice; in a periodic cube there are no
+        Number of molecules. A droplet occupies the first sites of a cubic lattice; in a periodic cube there are no
         vacancies.
     seed : int
     model : {"tip3p", "spce", "tip4pew", "tip5p", "tip4p2005"}

@@ -1,4 +1,4 @@
-"""The initial state of all runs, either as given or brought to a temperature, and its characteristic times."""
+"""The initial state of all runs, either as given or brought to a temperature."""
 
 from __future__ import annotations
 

@@ -141,7 +141,7 @@ class Measurements:
         return self._seconds(point.method, point.step) * self.methods[point.method].evaluations / point.step
 
     def _seconds(self, name: str, step: float) -> float:
-        """Return the wall times of a force evaluation and of a nested one, which are the same in all schemes.
+        """Return the wall time of a force evaluation and its nested evaluations, which is the same in all schemes.
 
         The minimum is used, because any excess is due to other work of the machine.
         """
