@@ -53,8 +53,8 @@ def find_bodies(
     Raises
     ------
     ValueError
-        If nothing can move, redundant constraints contradict each other, constraints lead out of a body, a named body is
-        invalid, or the System has Drude particles.
+        If nothing can move, redundant constraints contradict each other, constraints lead out of a body, a named body
+        is invalid, or the System has Drude particles.
     """
     masses = parameters.masses(system)
     _check_drude_particles(system)
