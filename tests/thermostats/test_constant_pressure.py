@@ -85,6 +85,30 @@ def test_a_barostat_acts_where_the_next_kick_does(flexible, engine):
     np.testing.assert_allclose(P, other_P, atol=1e-8 * np.abs(P).max())
 
 
+def test_a_trial_that_fails_leaves_the_box_and_the_state():
+    _, system, positions = rb.rigid_water(27, nonbondedMethod=app.CutoffPeriodic, nonbondedCutoff=0.4)
+
+    def force(state):
+        if state.getPeriodicBoxVolume()._value != before:
+            raise RuntimeError("no force in another box")
+        return 0.0, np.zeros((system.getNumParticles(), 3))
+
+    own = openmm.PythonForce(force)
+    own.setUsesPeriodicBoundaryConditions(True)
+    system.addForce(own)
+    system.addForce(openmm.MonteCarloBarostat(1.0, 300.0, 3))
+    integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 5.0, 0.006, "W2_3m")
+    context = context_of(system, integrator, positions)
+    before = context.getState().getPeriodicBoxVolume()._value
+    integrator.step(2)
+    x = positions_of(context)
+    with pytest.raises(openmm.OpenMMException, match="no force in another box"):
+        integrator.step(1)
+    state = context.getState()
+    assert (state.getPeriodicBoxVolume()._value, state.getStepCount()) == (before, 2)
+    np.testing.assert_allclose(positions_of(context), x, atol=1e-15)
+
+
 def density(model, integrator, picoseconds, seed):
     """Return the density of 216 waters at 298.15 K and 1 bar in kg/m³, and its error from blocks of 10 ps."""
     _, system, positions = rb.rigid_water(216, model=model, nonbondedMethod=app.PME, nonbondedCutoff=0.85)

@@ -147,6 +147,28 @@ def test_a_barostat_moves_whole_bodies_with_the_box(box, barostat, scheme):
     np.testing.assert_allclose(lengths(context), before, rtol=0.0, atol=1e-12)
 
 
+def test_after_a_checkpoint_a_barostat_moves_bodies_where_its_own_count_says(box):
+    """OpenMM's barostats begin to count again in a new Context, while the motion is removed after each step."""
+    system = copy.deepcopy(box[0])
+    force = openmm.MonteCarloBarostat(1.0, 300.0, 4)
+    force.setRandomNumberSeed(1)
+    system.addForce(force)
+    system.addForce(openmm.CMMotionRemover(1))
+    one, other = (on_device((system, box[1]), make("W2_1", 1e-6)) for _ in range(2))
+    one.getIntegrator().step(10)
+    other.loadCheckpoint(one.createCheckpoint())
+
+    def centres():
+        sides = np.diagonal(other.getState().getPeriodicBoxVectors(asNumpy=True)._value)
+        return held(other)[0].reshape(-1, 3, 3).mean(axis=1) / sides, sides.prod()
+
+    was, volume = centres()
+    other.getIntegrator().step(14)
+    now, after = centres()
+    assert abs(after / volume - 1.0) > 1e-6
+    np.testing.assert_allclose((now - was + 0.5) % 1.0, 0.5, rtol=0.0, atol=1e-4)  # thermal motion
+
+
 @pytest.mark.parametrize(("scheme", "frequency"), [pytest.param("S2_2", 1, marks=LONG), ("W2_1", 1), ("S2_2", 3)])
 def test_the_motion_of_the_centre_of_mass_is_removed_as_on_the_host(box, scheme, frequency):
     system = copy.deepcopy(box[0])
