@@ -83,9 +83,9 @@ class ReactionField(_Periodic):
     """A periodic box with nearest images within a cutoff, and the reaction field of a dielectric beyond it.
 
     The reaction field adds the energy -2 (eps - 1)/(2 eps + 1) mu_i.mu_j/a³ to that of each pair (Barker and Watts,
-    Mol. Phys. 26, 789 (1973)). The radius a, where a³ = 3 integral S r² dr, is that of a sharp sphere with the same
-    volume as the switched one. A uniform polarisation then has the reaction field of `dielectric`, as the fluctuation
-    formula of `dielectric_constant` requires.
+    Mol. Phys. 26, 789 (1973)). With the switching function S, a³ = 3 integral S r² dr, so that a sphere of radius a has
+    the volume of the switched cutoff sphere. A uniform polarisation then has the reaction field of `dielectric`, as the
+    fluctuation formula of `dielectric_constant` requires.
 
     Parameters
     ----------

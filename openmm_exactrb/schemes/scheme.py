@@ -36,7 +36,8 @@ class Scheme:
     reference : str
         Publication that describes the scheme.
     generalised : tuple of int
-        Generalised orders, if the scheme is designed for a small V; otherwise empty.
+        Generalised orders (s1, s2, ...) of a scheme for potentials of relative size epsilon, whose error consists of
+        terms of order epsilon h^s1, epsilon² h^s2, ...; otherwise empty.
     processor : tuple of (Substep, float)
         Substeps before the first step, which map the true coordinates to the inner coordinates, in which the steps are
         performed; their inverse maps back to the true coordinates.

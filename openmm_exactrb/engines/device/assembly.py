@@ -91,7 +91,7 @@ class Assembly:
             part.declare(to)
 
     def _factors(self, factors: Factors) -> Callable[[int], Launch]:
-        """Return a function of a row of the table: the launch that computes the factors of its heat exchange."""
+        """Return a function that maps the row of a heat exchange to the launch that computes its factors."""
         source = Source(("random.cl", "thermostats.cl"), factors.defines)
         arrays = "totals", "factors", "thermostat", Table.MOVES, Table.NUMBERS
         return lambda row: Launch(source, factors.kernel, 1, (*arrays, row, "#step", "$key"), 1)
