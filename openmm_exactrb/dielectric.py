@@ -73,7 +73,9 @@ def dielectric_constant(
     """
     M = checks.array(moments, "moments", _ASKED)
     if M.ndim != 2 or M.shape[1] != 3:
-        raise ValueError(f"moments must be rows of three numbers, not of shape {M.shape}")
+        raise ValueError(
+            f"moments must have the shape (n, 3), a row of three numbers for each of n frames, not {M.shape}"
+        )
     if not (fine := (np.abs(M) < _LARGEST).all(axis=1)).all():
         row = int(np.argmin(fine))
         raise ValueError(f"moments must be finite numbers below {_LARGEST:g}, but row {row} is {M[row].tolist()}")

@@ -244,7 +244,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
                 f"bind() takes an openmm.Context, such as simulation.context, not {type(context).__name__}"
             )
         if context.getIntegrator() is not self and getattr(context, "_integrator", None) is not self:
-            raise ValueError("this Context was made with another integrator: bind the one that it was made with")
+            raise ValueError("this Context was made with another integrator: call bind() of that integrator")
         self._context, self._propagator = weakref.ref(context), None
 
     # -- steps ------------------------------------------------------------------------------------------------------

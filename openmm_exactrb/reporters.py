@@ -195,7 +195,7 @@ def _check_ions(charges: Array, molecule: NDArray[np.integer[Any]]) -> None:
         first = int(np.flatnonzero(molecule == worst)[0])
         raise ValueError(
             f"charges must add up to 0 in every molecule, but those of the molecule with particle {first} add up to "
-            f"{total[worst]:.6g}: correct them, or give 0 for the particles of an ion"
+            f"{total[worst]:.6g}: correct these charges, or give 0 for the particles of an ion"
         )
 
 

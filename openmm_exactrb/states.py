@@ -78,8 +78,10 @@ def read_xml(file: str | os.PathLike[str], kind: type[Any], writer: str = "openm
         content: Any = openmm.XmlSerializer.deserialize(Path(file).read_text(encoding="utf-8"))
     except (openmm.OpenMMException, ValueError) as error:
         raise ValueError(
-            f"{file} was not written by {writer} ({' '.join(str(error).split())}): give one that was"
+            f"{file} was not written by {writer} ({' '.join(str(error).split())}): give a file that {writer} wrote"
         ) from None
     if not isinstance(content, kind):
-        raise ValueError(f"{file} holds a {type(content).__name__}, not a {kind.__name__}")
+        raise ValueError(
+            f"{file} holds a {type(content).__name__}, not a {kind.__name__}: give the file of a {kind.__name__}"
+        )
     return content

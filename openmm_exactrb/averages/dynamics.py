@@ -95,14 +95,20 @@ def dynamics_of(simulation: Any) -> Dynamics:
         )
     frictions = _frictions_of_openmm(integrator) if theirs else _frictions(integrator.getThermostat())
     if not any(frictions):
-        raise ValueError("averages can be corrected only for Langevin dynamics with friction: set one above 0")
+        raise ValueError(
+            "averages can be corrected only for Langevin dynamics with friction: create the integrator with a friction "
+            "above 0"
+        )
     if integrator.getIntegrationForceGroups() & 0xFFFFFFFF != 0xFFFFFFFF:
         raise ValueError(
-            "averages can be corrected only if the integrator uses all force groups: call setIntegrationForceGroups"
+            "averages can be corrected only if the integrator uses all force groups: call "
+            "integrator.setIntegrationForceGroups(set(range(32)))"
         )
     dynamics = (_of_openmm if theirs else _of_this_package)(simulation, frictions)
     if not dynamics.temperature:
-        raise ValueError("averages can be corrected only at a temperature above 0 K: call setTemperature")
+        raise ValueError(
+            "averages can be corrected only at a temperature above 0 K: pass one to integrator.setTemperature"
+        )
     return dynamics
 
 

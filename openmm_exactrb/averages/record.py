@@ -118,10 +118,13 @@ def read(file: str | os.PathLike[str]) -> tuple[Settings, dict[str, Array]]:
     """
     lines = Path(file).read_text(encoding="utf-8").splitlines()
     if len(lines) < 2 or not lines[0].startswith(_MARK):
-        raise ValueError(f"{file} was not written by an AverageReporter: pass the file of one")
+        raise ValueError(f"{file} was not written by an AverageReporter: give a file that an AverageReporter wrote")
     settings = _settings(lines[0])
     if settings is None:
-        raise ValueError(f"{file} was written by another version of openmm_exactrb: report again with this version")
+        raise ValueError(
+            f"{file} was written by another version of openmm_exactrb: read the file with that version, "
+            "or run the simulation again with this one"
+        )
     names = [name.split(" (")[0] for name in lines[1].split(",")]
     rows = [line.split(",") for line in lines[2:]]
     for number, row in enumerate(rows, start=3):

@@ -82,8 +82,8 @@ class AverageReporter:
         frames = self._frames or self._begin(simulation)
         if self._changing(simulation) != self._present:
             raise ValueError(
-                "the step size, the thermostat, the force groups or a parameter of the Context have changed: report "
-                "the new settings to another file"
+                "the step size, the thermostat, the force groups or a parameter of the Context has changed since the "
+                f"first frame in {self._file}: replace this AverageReporter by one with another file"
             )
         values = [state.getTime().value_in_unit(unit.picosecond), *frames.row(state, self._observables)]
         self._out.write(",".join([str(simulation.currentStep), *(repr(float(v)) for v in values)]) + "\n")
@@ -103,7 +103,9 @@ class AverageReporter:
         if continued:
             text = self._file.read_text(encoding="utf-8")
             if not continues(text, settings, columns):
-                raise ValueError(f"{self._file} belongs to a run with other settings: give another file")
+                raise ValueError(
+                    f"{self._file} belongs to a run with other settings: give the AverageReporter another file"
+                )
             if not text.endswith("\n"):
                 raise ValueError(f"{self._file} ends with an incomplete line: delete this line, or give another file")
         self._out = self._file.open("a" if continued else "w", encoding="utf-8")
@@ -123,7 +125,7 @@ def settings_of(simulation: Any, dynamics: Dynamics, observables: Mapping[str, A
     system, order = simulation.system, dynamics.order
     barostats = [force for force in acting_updates(simulation.context) if type(force).__name__ in BAROSTATS]
     if len(barostats) > 1:
-        raise ValueError("averages cannot be corrected with several barostats: keep one of them")
+        raise ValueError("averages cannot be corrected with several barostats: keep only one in the System")
     barostat = type(barostats[0]).__name__ if barostats else ""
     if barostat not in ("", "MonteCarloBarostat"):
         raise ValueError(f"averages cannot be corrected with a {barostat}: use a MonteCarloBarostat")

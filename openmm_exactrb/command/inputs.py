@@ -113,7 +113,7 @@ def load(args: argparse.Namespace) -> Box:
     if len(kinds) == 2 and set(kinds) & set(_POSITIONS):
         return _with_topology(args, *sorted(args.files, key=lambda file: file.suffix.lower() in _POSITIONS))
     if len(kinds) > 1 or not all(kind in _READERS for kind in kinds):
-        raise ValueError(f"give {FILES}, or none with --solvate, not {' '.join(map(str, args.files))}")
+        raise ValueError(f"give {FILES}, or no files with --solvate, not {' '.join(map(str, args.files))}")
     if not args.forcefield:
         what = f"{args.files[0]} has no forces" if kinds else "water has several models"
         raise ValueError(f"{what}: name the force field, such as --forcefield tip4pew.xml")
@@ -130,7 +130,8 @@ def _serialised(args: argparse.Namespace) -> Box:
         raise ValueError("--forcefield and --solvate need a PDB or PDBx file: a System already contains forces")
     if args.hydrogen_mass is not None:
         raise ValueError(
-            "omit --hydrogen-mass: a System already contains masses, which heavy_hydrogens() changes in Python"
+            "omit --hydrogen-mass: the System already contains masses; change them in Python with heavy_hydrogens() "
+            "before you save the System"
         )
     system, state = (read_xml(file, kind) for file, kind in zip(args.files, (openmm.System, openmm.State), strict=True))
     if not state.getDataTypes() & openmm.State.Positions:
@@ -138,8 +139,8 @@ def _serialised(args: argparse.Namespace) -> Box:
     positions = state.getPositions(asNumpy=True)
     if len(positions) != system.getNumParticles():
         raise ValueError(
-            f"the State has {len(positions)} particles, but the System has {system.getNumParticles()}: "
-            "give files of one run"
+            f"the State in {args.files[1]} has {len(positions)} particles, but the System in {args.files[0]} has "
+            f"{system.getNumParticles()}: give two files of the same run"
         )
     return Box(topology_of(system, state), system, positions, state)
 
@@ -166,7 +167,7 @@ def _read(args: argparse.Namespace, force_field: app.ForceField) -> app.Modeller
     (file,) = args.files
     reader = _READERS[file.suffix.lower()]
     if reader is app.PDBFile and "\nEND" not in file.read_text(encoding="utf-8", errors="replace"):
-        raise ValueError(f"{file} cannot be read: it has no END line, so it is truncated or not a PDB file")
+        raise ValueError(f"{file} has no END line, so it is truncated or not a PDB file: give a complete PDB file")
     content = _understood(str(file), reader, str(file))
     modeller = app.Modeller(content.topology, content.positions)
     if args.solvate:

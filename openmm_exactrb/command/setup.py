@@ -30,7 +30,10 @@ def couple(system: openmm.System, args: argparse.Namespace) -> None:
     """Add the barostat of the ensemble to a System; raise ValueError if the System does not allow a barostat."""
     others = [name for force in system.getForces() if (name := type(force).__name__) in UPDATES and name != _REMOVER]
     if others:
-        raise ValueError(f"remove the {', '.join(others)} from the System: --ensemble nvt or npt adds its own")
+        raise ValueError(
+            f"the System already contains {', '.join(others)}, but --ensemble nvt adds a thermostat, and npt a thermostat "
+            f"and a barostat: remove {', '.join(others)} from the System"
+        )
     if args.ensemble != "npt":
         return
     if not system.usesPeriodicBoundaryConditions():
@@ -58,9 +61,9 @@ def correct_pressure(
     theirs, own = (offset.scheme, offset.step, offset.temperature), (scheme, step, temperature)
     if theirs[0] != scheme or not np.allclose(theirs[1:], own[1:], rtol=1e-9):
         raise ValueError(
-            f"the pressure offset of {file} is for {theirs[0]} at {theirs[1]:g} ps and {theirs[2]:g} K, and this run "
-            f"has {own[0]} at {own[1]:g} ps and {own[2]:g} K: report averages at constant volume "
-            "with the settings of this run"
+            f"the pressure offset of {file} is for {theirs[0]} with a step of {theirs[1]:g} ps at {theirs[2]:g} K, but this "
+            f"run has {own[0]} with a step of {own[1]:g} ps at {own[2]:g} K: give the averages.csv of a run at constant "
+            "volume with the same scheme, step and temperature as this run"
         )
     for force in system.getForces():
         if isinstance(force, openmm.MonteCarloBarostat):

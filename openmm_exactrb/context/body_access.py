@@ -172,7 +172,7 @@ class BodyAccess:
             if self.getNamedBodies():
                 raise ValueError(
                     "bodies named by hand cannot be minimised together with flexible molecules with constraints: "
-                    "minimise with an integrator without bodies= before you name them"
+                    "minimise with an integrator without bodies= before you create the one with bodies="
                 )
             start = sync.held()[0]
             try:
@@ -215,7 +215,9 @@ class BodyAccess:
             raise ValueError(f"setBodyState() takes the state of bodies, bodyState()[1], not a {type(state).__name__}")
         full = state if isinstance(state, State) else State.of(state)
         if any(a.shape != b.shape or not np.isfinite(a).all() for a, b in zip(full, sync.state, strict=True)):
-            raise ValueError("the state must have one finite row for each body: use one returned by bodyState()")
+            raise ValueError(
+                "the state must have one row of finite numbers for each body: pass one that bodyState() returned"
+            )
         if not (np.abs((full.q[0] ** 2).sum(axis=0) - 1.0) < 2e-9).all():
             raise ValueError("orientations must be quaternions of unit length: divide each by its norm")
         sync.replace(State(*map(np.ascontiguousarray, full)))

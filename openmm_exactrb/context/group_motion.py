@@ -46,7 +46,8 @@ def _chosen(bodies: RigidBodies, name: str, particles: list[int]) -> NDArray[np.
     beyond = [k for k in particles if not 0 <= k < bodies.n_particles]
     if beyond:
         raise ValueError(
-            f"group {name!r} contains particle {beyond[0]}, but the System has {bodies.n_particles} particles"
+            f"group {name!r} contains particle {beyond[0]}, but the System has {bodies.n_particles} particles: name "
+            f"particles from 0 to {bodies.n_particles - 1}"
         )
     chosen, owner = bodies.touched(np.array(particles, dtype=np.intp)), bodies.owner
     left_out = np.append(chosen, False)[owner]  # the last entry is for particles of no body

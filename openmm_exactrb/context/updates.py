@@ -70,15 +70,16 @@ class ContextUpdates:
         """Raise ValueError for a second thermostat, or a barostat at another temperature (K) than the integrator."""
         if self.pushes:
             raise ValueError(
-                "the System has an AndersenThermostat, but this integrator has a thermostat of its own: remove it "
-                "from the System, or use ExactRigidBodyIntegrator"
+                "the System has an AndersenThermostat, but this integrator has a thermostat too: remove the "
+                "AndersenThermostat from the System, or use ExactRigidBodyIntegrator"
             )
         for parameter, name in self.temperatures.items():
             own = context.getParameter(parameter)
             if not math.isclose(own, temperature, rel_tol=1e-9):
                 raise ValueError(
-                    f"the {name} is at {own:g} K, the integrator at {temperature:g} K: set both to the same value with "
-                    f"context.setParameter({parameter!r}, {temperature:g}) or with setTemperature"
+                    f"the {name} is at {own:g} K, the integrator at {temperature:g} K: set the {name} with "
+                    f"context.setParameter({parameter!r}, {temperature:g}), or the integrator with "
+                    f"integrator.setTemperature({own:g})"
                 )
 
     @property
@@ -183,7 +184,9 @@ def _check_torn_bodies(context: openmm.Context, barostats: list[Any], named: Seq
     for barostat in barostats:
         if not getattr(barostat, "getScaleMoleculesAsRigid", lambda: True)():
             name = type(barostat).__name__
-            raise ValueError(f"{name} would scale the bodies themselves: call its setScaleMoleculesAsRigid(True)")
+            raise ValueError(
+                f"the {name} would change distances within bodies: call setScaleMoleculesAsRigid(True) of this barostat"
+            )
     if not barostats or not named:
         return
     molecule = {particle: number for number, molecule in enumerate(context.getMolecules()) for particle in molecule}
@@ -201,6 +204,7 @@ def _check_dipoles_of_one_box(context: openmm.Context, barostats: list[Any]) -> 
         formula = isinstance(force, openmm.CustomHbondForce | openmm.CustomCompoundBondForce)
         if formula and force.getName() == _OURS[0] and force.usesPeriodicBoundaryConditions():
             raise ValueError(
-                "a barostat changes the box: dipoles with kernel='bonds' cannot follow it, and those with "
-                "kernel='openmm' only while it is wide enough: use kernel='compiled', or remove the barostat"
+                "a barostat changes the box, to which dipoles with kernel='bonds' cannot adapt, and dipoles with "
+                "kernel='openmm' only while the box is wide enough: create the dipoles with kernel='compiled', or "
+                "remove the barostat from the System"
             )

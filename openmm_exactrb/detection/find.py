@@ -83,7 +83,9 @@ def find_bodies(
         kinds.append(replace(shape, bodies=slice(start, stop)))
         start = stop
     if not kinds:
-        raise ValueError("the System has no particle with mass, so there is nothing to move: set masses")
+        raise ValueError(
+            "the System has no particle with mass, so there is nothing to move: set masses with setParticleMass"
+        )
     return RigidBodies(kinds, len(masses), clusters)
 
 
@@ -106,7 +108,7 @@ def _flexible(particles: Indices, masses: Array, distances: Array, positions: Ar
         i, j = particles[0, pairs[worst]]
         raise ValueError(
             f"the constraint of particles {i} and {j} to {kind.lengths[worst]:g} nm follows from the others of "
-            f"{kind.name(0)}, but differs from them by {missed[worst]:.2g} nm: correct it or remove it"
+            f"{kind.name(0)}, but differs from them by {missed[worst]:.2g} nm: correct or remove this constraint"
         )
     x = on_constraints(particles[:1], masses, distances, positions)[particles[:1]]
     lengths = np.linalg.norm(x[0, pairs[:, 0]] - x[0, pairs[:, 1]], axis=1)
@@ -136,14 +138,14 @@ def _named_bodies(system: openmm.System, masses: Array, bodies: Sequence[Sequenc
     for particle in map(int, np.flatnonzero((owner >= 0) & (masses == 0.0))):
         if not system.isVirtualSite(particle):
             raise ValueError(
-                f"particle {particle} of body {owner[particle]} has no mass: set a mass, or omit the particle"
+                f"particle {particle} of body {owner[particle]} has no mass: set a mass in the System, or omit the particle in bodies="
             )
     named = []
     for number, body in enumerate(bodies):
         particles = np.array(sorted(body), dtype=np.intp)
         massive = particles[masses[particles] > 0.0]
         if not len(massive):
-            raise ValueError(f"body {number} has no particle with mass: name at least one")
+            raise ValueError(f"body {number} has no particle with mass: name at least one in bodies=")
         if len(particles) > 2 * len(massive):
             warn(
                 f"body {number} has the mass and inertia of {len(massive)} particles, because the other "
@@ -164,7 +166,9 @@ def _clusters(held: Rows, masses: Array, given: list[Indices]) -> Iterable[tuple
     leading_out = owner[pairs[:, 0]] != owner[pairs[:, 1]]
     if leading_out.any():
         p, q = pairs[np.argmax(leading_out)]
-        raise ValueError(f"the constraint between particles {p} and {q} joins a rigid body to another part: remove it")
+        raise ValueError(
+            f"the constraint between particles {p} and {q} joins a rigid body to another part: remove this constraint"
+        )
     links = [pairs, *(np.column_stack([np.full(len(b), b[0]), b]) for b in given)]
     rows, columns = np.concatenate(links).T
     graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(n, n))

@@ -116,8 +116,8 @@ def _check_doubtful_bonds(x: Array, links: Links, found: Decided, owner: Indices
     nearest = np.linalg.norm(gap - np.round(gap @ np.linalg.inv(box)) @ box)
     raise ValueError(
         f"particles {p} and {q} of body {owner[p]} are {np.linalg.norm(gap):.3g} nm apart as given and "
-        f"{nearest:.3g} nm across the periodic box, and neither is the length of their bond: set the length in the "
-        f"HarmonicBondForce to the distance in the body"
+        f"{nearest:.3g} nm across the periodic box, and neither is the length of their bond: set the length of this "
+        f"bond in the HarmonicBondForce to the distance of the particles in the whole body"
     )
 
 
@@ -134,8 +134,8 @@ def _check_split_parts(links: Links, moved: NDArray[np.bool_], named: list[Indic
 
 
 _REMEDY = (
-    "set positions in which it is whole, or join its particles by bonds of their lengths, such as those of a "
-    "HarmonicBondForce with k = 0"
+    "set positions in which the box splits no body, or join the particles of each body by bonds whose lengths are the "
+    "distances within the body, such as bonds of a HarmonicBondForce with k = 0"
 )
 
 
@@ -179,8 +179,8 @@ def _by_common_shape(X: Array, box: Array) -> tuple[Array, NDArray[np.bool_]]:
         longest = _steps(near[0]).max()
         if longest > _CLEAR * half_width(box):
             raise ValueError(
-                f"bodies of {len(near[0])} particles with the same masses differ in shape only by the periodic images "
-                f"of their particles, and across a gap of at least {longest:.3g} nm either image may be meant: "
+                f"the shapes of bodies of {len(near[0])} particles with the same masses differ by widths of the periodic box, "
+                f"and a gap of at least {longest:.3g} nm within a body is too wide to decide which shape is whole: "
                 + _REMEDY
             )
         return _joined_to(near[0], X, box), confirmed
@@ -250,15 +250,16 @@ def _say(number: int, X: Array, box: Array, split: bool) -> None:
     given = steps.max(initial=0.0)
     if split and (torn or across > clear):
         raise ValueError(
-            f"the periodic box has split molecules, and the shape of body {number} is ambiguous, because its gap of "
-            f"{given:.3g} nm may be a gap of {across if torn else 4.0 * clear - given:.3g} nm across the box: {_REMEDY}"
+            f"the periodic box has split molecules, and the shape of body {number} is ambiguous, because the gap of "
+            f"{given:.3g} nm between its particles may be one of {across if torn else 4.0 * clear - given:.3g} nm across "
+            f"the box: {_REMEDY}"
         )
     fitting = across <= _FITTING * steps[steps <= across * (1.0 + 1e-6)].max(initial=0.0)
     likely = (in_cell or given > 4.0 * clear) and (len(X) > 2 or across < clear)
     if torn and (fitting or likely):
         warn(
-            f"body {number} has a gap of {given:.3g} nm and is taken as it is given, but would have one of "
-            f"{across:.2g} nm if the periodic box had split it: if so, {_REMEDY}",
+            f"body {number} has a gap of {given:.3g} nm between its particles as given, or of {across:.2g} nm across the "
+            f"periodic box, and the positions are used as given: if the box has split this body, {_REMEDY}",
             ShapeWarning,
         )
 

@@ -76,7 +76,9 @@ def as_completed(
         import distributed  # noqa: F401
         from tqdm import tqdm
     except ImportError as error:
-        raise ImportError(f"ensembles need dask ({error}): python -m pip install 'dask[distributed]' tqdm") from error
+        raise ImportError(
+            f"ensembles need dask and tqdm ({error}): run python -m pip install 'dask[distributed]' tqdm"
+        ) from error
     Path(folder).mkdir(parents=True, exist_ok=True)
     results = _results(distinct, Path(folder), scheduler, workers)
     pause = 0.1 if sys.stderr.isatty() else 5.0

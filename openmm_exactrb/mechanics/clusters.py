@@ -151,8 +151,8 @@ class ClusterKind:
         if bad.any():
             i, j = self.particles[0, self.pairs[np.argmax(bad)]]
             raise ValueError(
-                f"the constraint of particles {i} and {j} to {self.lengths[np.argmax(bad)]:g} nm cannot be kept: it "
-                "needs two particles and a positive length"
+                f"the constraint of particles {i} and {j} to {self.lengths[np.argmax(bad)]:g} nm cannot be kept, "
+                "because a constraint needs two different particles and a positive length: correct or remove it"
             )
         if len(self.pairs) > LARGEST:
             raise ValueError(
@@ -163,7 +163,8 @@ class ClusterKind:
         if independence.max() < _INDEPENDENT:
             i, j = self.particles[0, self.graph.pairs[constraint[np.argmax(independence)]]]
             raise ValueError(
-                f"the constraint of particles {i} and {j} follows from the others of {self.name(0)}: remove it"
+                f"the constraint of particles {i} and {j} follows from the others of {self.name(0)}: remove this "
+                "constraint"
             )
 
     def check_singular(self, x: Array, chosen: NDArray[np.bool_]) -> None:
@@ -175,9 +176,9 @@ class ClusterKind:
             i, j = self.particles[worst, self.graph.pairs[constraint[worst]]]
             raise ValueError(
                 f"{self.name(worst).capitalize()} is in a singular configuration, where the constraint of particles "
-                f"{i} and {j} follows from the others, as in a triangle whose particles are on a line: move them, or "
-                "remove this constraint; a flat or straight part must be rigid as a whole: constrain all its "
-                "distances, or name it in bodies="
+                f"{i} and {j} follows from the others: if its particles are on a line or in a plane by chance, set other "
+                "positions; if a part of the molecule is always straight or flat, remove this constraint, or make the "
+                "molecule rigid by constraining all distances or naming the molecule in bodies="
             )
 
 

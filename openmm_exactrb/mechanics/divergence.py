@@ -239,8 +239,8 @@ class Overheating:
                 self._told = True
                 warn(
                     f"the temperature of the {name} is {100.0 * excess:.0f} % above that of the thermostat, "
-                    f"averaged over {duration:.3g} ps, which its friction does not explain: use a "
-                    "smaller step size, or more friction",
+                    f"averaged over {duration:.3g} ps, which the friction does not explain: use a "
+                    "smaller step size, or a higher friction",
                     StepSizeWarning,
                 )
                 return

@@ -130,8 +130,8 @@ def _judge(bodies: RigidBodies, x: Array, chosen: Indices, distance: Array) -> N
     name = bodies.name(int(chosen[worst]))
     if distance[worst] > REFUSED:
         cause = _cause(bodies, x, int(chosen[worst])) or (
-            f", more than {REFUSED:g} nm: set positions that match the constraints, or the first positions of a body "
-            f"named by hand"
+            f", more than {REFUSED:g} nm: set positions that match the constraints or, for a body named by hand, the "
+            f"positions that were set first"
         )
         raise ValueError(f"{name} is {distance[worst]:.2g} nm away from its shape{cause}")
     warn(
@@ -151,8 +151,8 @@ def _cause(bodies: RigidBodies, x: Array, body: int) -> str | None:
     missed = np.array([_missed_by(k, kind.weights, sites, x[particles]) for k in range(len(particles))])
     if _missed_by(None, kind.weights, -sites, x[particles]).max() <= REFUSED:
         return (
-            " and the mirror image of it: set positions of the handedness of the first ones, or call "
-            "context.reinitialize(preserveState=True) to make these the shape"
+            " and has the shape of its mirror image: set positions with the handedness of those that were set first, or "
+            "call context.reinitialize(preserveState=True) to make the present positions the shape"
         )
     (astray,) = np.nonzero(np.where(np.eye(len(missed)), 0.0, missed).max(axis=1) <= REFUSED)
     if len(astray) != 1:

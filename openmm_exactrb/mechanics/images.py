@@ -121,7 +121,7 @@ def _best_way(x: Array, links: Links, box: Array, names: Indices) -> Array:
         shown = ", ".join(map(str, names[:8])) + (", ..." if len(names) > 8 else "")
         raise ValueError(
             f"the periodic box has split the group of particles {shown}, and two images fit equally well: set "
-            "positions in which it is whole"
+            "positions in which this group is whole"
         )
     return tried[best]
 

@@ -58,8 +58,11 @@ def minimised(
     issued if the energy stops falling before a search reaches the tolerance.
     """
     if not all(np.isfinite(np.sum(part)) for part in landscape(start)):
-        closest = f": the closest are {closest_pair(start, box)}" if len(bodies) > 1 else ""
-        raise NonFiniteError(f"the energy or a force at the start of the minimisation is not finite{closest}")
+        closest = f" (the closest are {closest_pair(start, box)})" if len(bodies) > 1 else ""
+        raise NonFiniteError(
+            f"the energy or a force at the start of the minimisation is not finite{closest}: set positions in which no "
+            "particles overlap"
+        )
     search, reach = _Search(start), 1.0
     while True:
         before = search.energy

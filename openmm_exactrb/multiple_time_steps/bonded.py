@@ -71,7 +71,9 @@ def separate_bonded(system: openmm.System) -> int:
     }
     free = [group for group in range(_GROUPS) if group not in others]
     if not free:
-        raise ValueError("the System uses all 32 force groups: put two of its forces into the same group")
+        raise ValueError(
+            "the System uses all 32 force groups: put two of its forces into the same group with force.setForceGroup"
+        )
     for force in system.getForces():
         if isinstance(force, BONDED_FORCES):
             force.setForceGroup(free[0])

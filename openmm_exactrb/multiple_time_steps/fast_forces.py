@@ -159,13 +159,13 @@ class FastForces:
         if self.settings.fast == BONDED and groups:
             raise ValueError(
                 f"scheme {outer.name} kicks single force groups ({', '.join(map(str, groups))}), which may contain "
-                f"bonded forces: put the fast forces into a group that no kick has, such as fast=(7,)"
+                f"bonded forces: put the fast forces into a group that no kick names, and set fast= to it, such as fast=(7,)"
             )
         twice = [group for group in groups if group in self.named]
         if twice:
             raise ValueError(
-                f"scheme {outer.name} kicks group {twice[0]} alone, which is fast too and would act twice: "
-                "remove it from fast= or from the scheme"
+                f"scheme {outer.name} kicks force group {twice[0]} alone, but fast= names this group too, so that its forces "
+                "would act twice: remove the group from fast= or from the scheme"
             )
         if self.settings.asked_for or not outer.stages:
             return self.settings.asked_for
@@ -224,8 +224,8 @@ def _of_groups(system: openmm.System, settings: MultipleTimeSteps) -> FastForces
     groups = tuple(group for group in map(int, settings.fast) if group in present)
     if not groups:
         warn(
-            f"{_NO_INNER_STEPS}fast names force groups without forces ({', '.join(map(str, settings.fast))}); the "
-            f"forces of the System are in {', '.join(map(str, sorted(present))) or 'none'}"
+            f"{_NO_INNER_STEPS}fast names force groups without forces ({', '.join(map(str, settings.fast))}): name "
+            f"groups that contain forces, which are {', '.join(map(str, sorted(present))) or 'none'} in this System"
         )
         return None
     if present <= set(groups):

@@ -41,7 +41,9 @@ class Open:
     def truncation(self, box: Edges | None, n: int = 1) -> None:
         """Return None, because there is no cutoff; raise ValueError if there is a box."""
         if box is not None:
-            raise ValueError("a box needs periodic boundaries: add boundary=ReactionField() or boundary=Ewald()")
+            raise ValueError(
+                "box= needs a periodic boundary: add boundary=ReactionField() or boundary=Ewald(), or omit box="
+            )
 
     def images(self, n: int, box: Edges | None) -> None:
         """Return None, because there are no images."""
@@ -165,13 +167,18 @@ class Ewald(_Periodic):
             for points in np.ravel(self.mesh):
                 fast = scipy.fft.next_fast_len(checks.whole(points, "each number of points of the mesh"), real=True)
                 if fast != points:
-                    raise ValueError(f"a mesh of {points} points has a slow transform: use {fast}")
+                    raise ValueError(
+                        f"a mesh of {points} points along an edge has a slow Fourier transform: use {fast} points"
+                    )
             if np.shape(self.mesh) not in ((), (3,)):
-                raise ValueError(f"mesh must be one number of points or three, not {self.mesh!r}")
+                raise ValueError(f"mesh must be one number of points, or three, one for each edge, not {self.mesh!r}")
             points = tuple(map(int, np.ravel(self.mesh)))  # lists and arrays have no hash
             object.__setattr__(self, "mesh", points if len(points) == 3 else points[0])
             if min(np.ravel(self.mesh)) < (self.order or 10) + ewald.LANES:
-                raise ValueError(f"a mesh needs at least order + {ewald.LANES} points along an edge, not {self.mesh!r}")
+                raise ValueError(
+                    f"mesh must have at least order + {ewald.LANES} points along each edge, here "
+                    f"{(self.order or 10) + ewald.LANES}, not {self.mesh!r}"
+                )
 
     def getParameters(self, n: int, box: Sequence[float]) -> ewald.EwaldParameters:
         """Return the parameters of the sum over n dipoles in a box with given edges (nm).
@@ -256,8 +263,8 @@ def check_cutoff(cutoff: float, edges: Sequence[float], name: str = "cutoff") ->
     half = 0.5 * min(edges)
     if not cutoff <= half * (1.0 + 1e-12):
         raise ValueError(
-            f"{name} must be at most half the box, {half:g} nm, not {cutoff:g}: pass a shorter one, with room for a "
-            "barostat to shrink the box, or use a larger box"
+            f"{name} must be at most half the box, {half:g} nm, not {cutoff:g} nm: use a shorter cutoff, with room for a "
+            "barostat to shrink the box, or a larger box"
         )
 
 
@@ -268,4 +275,4 @@ def _plain(value: float) -> float:
 
 def _check_switch(switch: float, cutoff: float) -> None:
     if not switch < cutoff:
-        raise ValueError(f"switch must be between 0 and the cutoff {cutoff:g}, not {switch}")
+        raise ValueError(f"switch must be between 0 and the cutoff of {cutoff:g} nm, not {switch} nm")

@@ -134,11 +134,11 @@ def spheres_of(
     found = cutoff_in(edges, checks.positive(sigma, "sigma", "nm"), cutoff, switch, shifted=shifted)
     if wca and attraction > 0.0:
         if shifted:
-            raise ValueError("wca shifts the energy of the spheres to zero at its minimum already: omit shifted")
+            raise ValueError("wca=True already shifts the energy of the spheres to zero at its minimum: omit shifted=")
         end = (2.0 / attraction) ** (1.0 / 6.0) * sigma
         if found is not None and found.switch < end:
             raise ValueError(
-                f"the switch of the spheres, at {found.switch:g} nm, begins before their minimum, at {end:g} nm: "
+                f"the switch of the spheres begins at {found.switch:g} nm, before the minimum of their energy at {end:g} nm: "
                 "use a larger box, or a larger sphere_cutoff"
             )
     return found
@@ -161,8 +161,8 @@ def _check_tips(cutoff: float, length: float, edges: Sequence[float]) -> None:
     half, reach = 0.5 * min(edges), cutoff + 2.0 * length
     if not reach < half:
         raise ValueError(
-            f"kernel='openmm' needs cutoff + 2 length, {reach:g} nm, below half the box, {half:g} nm: use a shorter "
-            "cutoff, a larger box, or kernel='bonds'"
+            f"kernel='openmm' needs cutoff + 2 * length below half the box, {half:g} nm, but this sum is {reach:g} nm: use a "
+            "shorter cutoff, a larger box, or kernel='bonds'"
         )
 
 
@@ -170,14 +170,16 @@ def checked_pairs(pairs: Any, name: str = "arrow", ends: str = "centre, tip") ->
     """Return arrows as pairs of particles; raise ValueError if a particle occurs twice."""
     rows = checks.lists_of_indices(pairs, f"{name}s")
     if not rows:
-        raise ValueError(f"soft dipoles need at least one {name} ({ends})")
+        raise ValueError(f"soft dipoles need at least one {name}, a pair of particles ({ends}), such as (0, 1)")
     for row in rows:
         if len(row) != 2 or min(row) < 0:
             raise ValueError(f"each {name} is a pair of particles, {ends}, such as (0, 1), not {tuple(row)}")
     particles = list(itertools.chain(*rows))
     if len({*particles}) < len(particles):
         twice = next(i for i in particles if particles.count(i) > 1)
-        raise ValueError(f"particle {twice} is in two {name}s or twice in one: give each {name} its own")
+        raise ValueError(
+            f"particle {twice} is in two {name}s or twice in one: give each {name} two particles of its own"
+        )
     return [(first, second) for first, second in rows]
 
 
@@ -192,7 +194,7 @@ def context_parameters(
         parameters["soft_attraction"] = 4.0 * epsilon * sigma**6 * attraction
     if wca and not (attraction > 0.0 and epsilon > 0.0):
         raise ValueError(
-            "without an attraction there is no minimum: wca needs a positive attraction and a positive epsilon"
+            "wca=True needs a positive attraction and a positive epsilon, because otherwise the energy has no minimum"
         )
     return parameters
 

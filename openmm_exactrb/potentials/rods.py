@@ -125,7 +125,7 @@ def _distances(n: int, edges: Edges, boundary: Ewald) -> tuple[float, float]:
     if boundary.tolerance < LEAST_TOLERANCE:
         raise ValueError(
             f"rods of charges reach at best a tolerance of {LEAST_TOLERANCE:g}, not {boundary.tolerance:g}: use a "
-            "larger one, or kernel='compiled'"
+            "larger tolerance, or kernel='compiled'"
         )
     if boundary.cutoff is None:
         boundary = replace(boundary, cutoff=min(3.0 * mean_distance(n, edges), 0.45 * min(edges)))

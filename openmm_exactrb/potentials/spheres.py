@@ -49,7 +49,7 @@ def cutoff_in(
     check_cutoff(end, edges, "sphere_cutoff")
     begin = 0.75 * end if switch is None else checks.not_negative(switch, "sphere_switch")
     if not begin < end:
-        raise ValueError(f"sphere_switch must be between 0 and the sphere_cutoff {end:g}, not {begin:g}")
+        raise ValueError(f"sphere_switch must be between 0 and the sphere_cutoff of {end:g} nm, not {begin:g} nm")
     return SphereCutoff(float(end), float(begin), bool(shifted))
 
 
@@ -72,7 +72,9 @@ def long_range_correction(
     """
     spheres = None if wca else cutoff_in(edges, sigma, sphere_cutoff, sphere_switch, shifted=shifted)
     if spheres is None:
-        raise ValueError("long_range_correction is only for spheres in a periodic box without wca: omit this argument")
+        raise ValueError(
+            "long_range_correction is only for spheres in a periodic box without wca: omit long_range_correction="
+        )
     of_repulsion, of_attraction = (2.0 * np.pi * n**2 * _beyond(spheres, p) for p in (12, 6))
     attracts = f" - {float(of_attraction)!r}*soft_attraction" if attraction else ""
     force = openmm.CustomVolumeForce(f"({float(of_repulsion)!r}*soft_repulsion{attracts})/v")

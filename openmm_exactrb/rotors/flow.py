@@ -46,8 +46,8 @@ def _check_one_number(
     alike = any((q, m) == ((*kind, 4, *n), (*kind, 3, *n)) for kind in kinds)
     if not (alike and t in ((), (1,), n) and moments in ((3, 1), (3, *n))):
         raise ValueError(
-            f"q {q}, m {m}, t {t} and moments {moments} do not agree on the number N of bodies: give q (4, N), m (3, "
-            f"N), and t and moments one for all or one per body"
+            f"the shapes of q {q}, m {m}, t {t} and moments {moments} do not agree on the number N of bodies: use the "
+            "shapes (4, N) for q, (3, N) for m, () or (N,) for t, and (3, 1) or (3, N) for moments"
         )
 
 

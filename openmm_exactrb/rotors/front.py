@@ -62,10 +62,13 @@ def free_rotor(
         shape = np.broadcast_shapes(inertia.shape[:-1], q.shape[:-1], m.shape[:-1], t.shape)
     except ValueError:
         raise ValueError(
-            f"inertia {inertia.shape}, q0 {q.shape}, m0 {m.shape} and t {t.shape} do not agree on the number of bodies"
+            f"the shapes of inertia {inertia.shape}, q0 {q.shape}, m0 {m.shape} and t {t.shape} do not agree on the number "
+            "N of bodies: use the shapes (N, 3), (N, 4), (N, 3) and (N,), each without N for one body"
         ) from None
     if len(shape) > 1:
-        raise ValueError(f"the arguments must list bodies along one axis, not along {len(shape)}")
+        raise ValueError(
+            f"inertia, q0, m0 and t must list bodies along one axis, as q0 of shape (N, 4), not along {len(shape)}"
+        )
     n = int(np.prod(shape))
     flow = rotor(method, inertia)
     attitudes = _normalised(_columns(q, n, 4))

@@ -129,8 +129,8 @@ def _columns(inertia: ArrayLike) -> Array:
     least, largest = moments.min(axis=-1), moments.max(axis=-1)
     if (least < np.maximum(SMALLEST_MOMENT, largest / WIDEST)).any() or (largest > LARGEST_MOMENT).any():
         raise ValueError(
-            f"inertia must lie between {SMALLEST_MOMENT:g} and {LARGEST_MOMENT:g}, the moments of a body within a "
-            f"factor {WIDEST:g}: use other units, give light particles more mass, or treat the body as linear"
+            f"inertia must lie between {SMALLEST_MOMENT:g} and {LARGEST_MOMENT:g}, and the moments of one body "
+            f"within a factor of {WIDEST:g}: use other units, give light particles more mass, or treat the body as linear"
         )
     return np.ascontiguousarray(np.atleast_2d(moments).T)
 

@@ -40,8 +40,8 @@ class Checkpoint(NamedTuple):
             was, now = self.identity.get(name, "not there"), identity.get(name, "not there")
             if was != now:
                 raise ValueError(
-                    f"{file} belongs to another run: {name} is {was} in it, but {now} now; change it back, use another "
-                    "folder, or overwrite the run"
+                    f"{file} belongs to another run, in which {name} was {was}, but is {now} now: change {name} back, use another "
+                    "folder, or overwrite the run (overwrite=True or --overwrite)"
                 )
 
     def check_cut_files(self, folder: Path) -> None:
@@ -52,7 +52,7 @@ class Checkpoint(NamedTuple):
             if found < length:
                 raise ValueError(
                     f"{file} has {found} bytes, but had {length} at the checkpoint: restore the file, or "
-                    "overwrite the run"
+                    "overwrite the run (overwrite=True or --overwrite)"
                 )
 
 
@@ -71,6 +71,9 @@ def read(file: Path) -> Checkpoint:
     if len(words) == 3 and words[0] == _MAGIC and words[1] != FORMAT:
         raise ValueError(f"{file} was written by another version of openmm-exactrb: resume the run with that version")
     if words != [_MAGIC, FORMAT, hashlib.sha256(body).hexdigest().encode()]:
-        raise ValueError(f"{file} is damaged, or not a checkpoint: use another folder, or overwrite the run")
+        raise ValueError(
+            f"{file} is damaged, or not a checkpoint: use another folder, or overwrite the run "
+            "(overwrite=True or --overwrite)"
+        )
     about, _, state = body.partition(b"\n")
     return Checkpoint(**json.loads(about), state=state)

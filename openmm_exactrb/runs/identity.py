@@ -37,7 +37,9 @@ def _text_of_system(system: openmm.System) -> str:
     try:
         content = openmm.XmlSerializer.serialize(system)
     except Exception as error:  # a PythonForce raises any error of pickle for its function
-        raise ValueError(f"a run needs a System that OpenMM can serialise: {error}") from error
+        raise ValueError(
+            f"the System of a run must be one that OpenMM can serialise ({error}): replace the force that cannot be serialised"
+        ) from error
     return f"{system.getNumParticles()} particles, hash {digest(content.encode())}"
 
 

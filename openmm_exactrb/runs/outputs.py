@@ -41,12 +41,12 @@ class Outputs:
         if not callable(factory):
             raise ValueError(f"a reporter must be a class such as openmm.app.DCDReporter, not {factory!r}")
         if name in self._factories:
-            raise ValueError(f"{name} already has a reporter: use another file for this one")
+            raise ValueError(f"the file {name} already has a reporter: give this reporter another file name")
         parameters = inspect.signature(factory).parameters
         if "append" not in parameters and not any(p.kind is p.VAR_KEYWORD for p in parameters.values()):
             raise ValueError(
-                f"{_name_of(factory)} cannot resume a file, since it takes no append=: use a reporter that does, such "
-                "as DCDReporter, or append it to simulation.reporters yourself"
+                f"{_name_of(factory)} cannot resume a file, because it has no argument append=: use a reporter with "
+                "append=, such as DCDReporter, or append this one to simulation.reporters"
             )
         self._factories[name] = factory, interval
 

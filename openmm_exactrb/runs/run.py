@@ -27,7 +27,7 @@ from openmm_exactrb.runs.signals import Signals
 from openmm_exactrb.support.checks import not_negative, whole
 
 _OPTIONS = ("out", "overwrite", "resume", "checkpoint")
-_RESUME = "resume it (resume=True or --resume)"
+_RESUME = "resume the run (resume=True or --resume)"
 # Steps between two checks of signals and the clock, as many as Simulation.step performs in one call.
 _CHUNK = 10
 
@@ -124,7 +124,7 @@ class Run:
         if file.exists() and not (self.resuming or self._overwrite):
             raise FileExistsError(
                 f"{file} belongs to an earlier run: use another folder, {_RESUME} if there is a checkpoint, or "
-                "overwrite it (overwrite=True or --overwrite)"
+                "overwrite the earlier run (overwrite=True or --overwrite)"
             )
         return file
 
@@ -150,7 +150,7 @@ class Run:
             another reporter or to the run itself.
         """
         if name in (CHECKPOINT, TOPOLOGY):
-            raise ValueError(f"{name} is a file of the run itself: use another one for the reporter")
+            raise ValueError(f"{name} is a file of the run itself: give the reporter another file name")
         self.path(name)
         self._outputs.add(reporter, name, whole(interval, "interval", of="steps"))
 

@@ -70,11 +70,15 @@ def force_gradient(
     if drifts[0] != "A":
         drifts, kicks = kicks, drifts
     if pattern != pattern[::-1] or {*drifts} != {"A"} or not {*kicks} <= {"B", "C"} or not kicks:
-        raise ValueError(f"scheme {name}: {pattern!r} is not a palindrome of alternating drifts A and kicks B or C")
+        raise ValueError(
+            f"scheme {name}: {pattern!r} is not a palindrome of alternating drifts A and kicks "
+            "B or C, such as 'ABACABA'"
+        )
     half = (len(kicks) + 1) // 2
     if kicks[:half].count("C") != len(e):
         raise ValueError(
-            f"scheme {name}: e must have one number for each C in the first half of {pattern!r}, not {len(e)}"
+            f"scheme {name}: e has {len(e)} numbers, but needs {kicks[:half].count('C')}: one for each C in the first half "
+            f"of {pattern!r}, including a C in the middle"
         )
     if not (math.isfinite(magnification) and magnification):
         raise ValueError(f"scheme {name}: magnification must be a finite number other than 0, not {magnification}")

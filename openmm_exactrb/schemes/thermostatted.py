@@ -105,7 +105,9 @@ def proposal(scheme: Scheme, steps: int) -> Scheme:
     raised.
     """
     if scheme.has(HEAT_EXCHANGE):
-        raise ValueError(f"{scheme.name} contains a thermostat, but a proposal must not: choose a scheme such as S2_2")
+        raise ValueError(
+            f"scheme {scheme.name} contains a thermostat, but the scheme of proposals must not: choose one without, such as S2_2"
+        )
     require_symmetric(scheme)
     rows = repeated(scheme.sequence, steps)
     return replace(scheme, sequence=tuple((substep, part / steps) for substep, part in rows))
@@ -114,4 +116,7 @@ def proposal(scheme: Scheme, steps: int) -> Scheme:
 def require_symmetric(scheme: Scheme | None, role: str = "scheme") -> None:
     """Raise ValueError if the scheme of proposals, or of their inner steps, is not symmetric in time."""
     if scheme is not None and not palindromic(scheme.sequence):
-        raise ValueError(f"the {role} {scheme.name} is not symmetric in time, as proposals must be: choose one that is")
+        raise ValueError(
+            f"the {role} {scheme.name} is not symmetric in time, as proposals must be: choose a symmetric one, "
+            "such as S2_2"
+        )

@@ -90,7 +90,7 @@ def owners(bodies: Sequence[Sequence[int] | Indices], n_particles: int) -> Indic
     particles = np.fromiter(chain.from_iterable(bodies), np.intp, len(numbers))
     for i in np.flatnonzero((particles < 0) | (particles >= n_particles)):
         named = f"body {numbers[i]} names particle {particles[i]}"
-        raise ValueError(f"{named}, but the System has {n_particles} particles")
+        raise ValueError(f"{named}, but the System has only the particles 0 to {n_particles - 1}")
     order = np.argsort(particles, kind="stable")
     for i in np.flatnonzero(np.diff(particles[order]) == 0):
         first, second = numbers[order[i : i + 2]]

@@ -86,7 +86,7 @@ def heavy_hydrogens(
         if left[donor.index] < wanted:
             raise ValueError(
                 f"{_name(donor)} would be left with {left[donor.index]:.4g} amu, less than its hydrogens of "
-                f"{wanted:g} amu: use a smaller mass"
+                f"{wanted:g} amu: use a smaller mass of hydrogens"
             )
     for i, value in enumerate(left):
         system.setParticleMass(i, value)

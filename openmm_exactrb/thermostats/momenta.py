@@ -55,8 +55,8 @@ class CanonicalMomenta:
         integrator = simulation.integrator
         if not isinstance(integrator, ExactRigidBodyIntegrator) or isinstance(integrator, ThermostattedIntegrator):
             raise ValueError(
-                "CanonicalMomenta is the thermostat of an ExactRigidBodyIntegrator at constant energy: remove it "
-                f"from the reporters of a {type(integrator).__name__}"
+                "CanonicalMomenta works only with an ExactRigidBodyIntegrator without a thermostat, not with a "
+                f"{type(integrator).__name__}: remove the CanonicalMomenta from simulation.reporters"
             )
         steps = self._interval - simulation.currentStep % self._interval
         return {"steps": steps, "periodic": None, "include": []}

@@ -103,7 +103,9 @@ def schemes_named(names: str | Scheme | Sequence[str | Scheme]) -> list[Scheme]:
     for scheme in schemes:
         name = scheme.name
         if name.endswith(NESTED) or name == VERLET or known.setdefault(name, CATALOGUE.get(name, scheme)) != scheme:
-            raise ValueError(f"a scheme of your own has the name of another method, {name!r}: choose another name")
+            raise ValueError(
+                f"a scheme that you passed has the name of another method, {name!r}: give the scheme another name"
+            )
     return list(known.values())
 
 

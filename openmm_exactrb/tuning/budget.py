@@ -27,4 +27,6 @@ class Budget:
     def require(self, seconds: float = 0.0) -> None:
         """Raise BudgetSpentError if less than the given time is left."""
         if self.left < seconds:
-            raise BudgetSpentError(f"the budget of {self.seconds:g} s of processor time is spent: pass a larger one")
+            raise BudgetSpentError(
+                f"the budget of {self.seconds:g} s of processor time is spent: pass a larger budget="
+            )

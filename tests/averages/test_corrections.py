@@ -284,14 +284,17 @@ def test_a_run_continues_its_file_and_no_other(tmp_path):
             simulation.step(4)
     assert read(file)[1]["step"].tolist() == [2, 4, 6, 8]
     integrator.setStepSize(0.001)
-    with reporting(simulation, file, 2, append=True), pytest.raises(ValueError, match="other settings: give another"):
+    with (
+        reporting(simulation, file, 2, append=True),
+        pytest.raises(ValueError, match="other settings: give the AverageReporter another"),
+    ):
         simulation.step(2)
     simulation.reporters.clear()
     integrator.setStepSize(0.002)
     with reporting(simulation, file, 2, append=True):
         simulation.step(2)
         integrator.setFriction(2.0)
-        with pytest.raises(ValueError, match="report the new settings to another file"):
+        with pytest.raises(ValueError, match="replace this AverageReporter by one with another file"):
             simulation.step(2)
     with file.open("a") as out:
         out.write("10,0.02")
@@ -305,8 +308,11 @@ def test_a_run_continues_its_file_and_no_other(tmp_path):
         (lambda: rb.ExactRigidBodyIntegrator(0.002), "only for Langevin dynamics: use ExactRigidBodyLangevin"),
         (lambda: rb.ExactRigidBodyNoseHooverIntegrator(300.0, 1.0, 0.002), "LangevinMiddleIntegrator instead of Exact"),
         (lambda: openmm.BrownianIntegrator(300.0, 1.0, 0.002), "instead of BrownianIntegrator"),
-        (lambda: openmm.LangevinMiddleIntegrator(300.0, 0.0, 0.002), "with friction: set one above 0"),
-        (lambda: rb.ExactRigidBodyLangevinIntegrator(300.0, 0.0, 0.002), "with friction: set one above 0"),
+        (lambda: openmm.LangevinMiddleIntegrator(300.0, 0.0, 0.002), "create the integrator with a friction above 0"),
+        (
+            lambda: rb.ExactRigidBodyLangevinIntegrator(300.0, 0.0, 0.002),
+            "create the integrator with a friction above 0",
+        ),
         (
             lambda: rb.ExactRigidBodyLangevinIntegrator(
                 300.0, 1.0, 0.002, scheme=Scheme("twice", 2, spelled("B A O A B O")), fast=None

@@ -177,4 +177,4 @@ def test_heavy_hydrogens_have_longer_periods(droplet, serialised, capsys):
         moments.append([float(word) for word in line.split("moments ")[1].split()[:3]])
     assert (2.0 * np.array(moments[0]) < moments[1]).all()
     assert main(["info", *map(str, serialised), "--hydrogen-mass", "3"]) == 2
-    assert "omit --hydrogen-mass: a System already contains masses" in capsys.readouterr().err
+    assert "omit --hydrogen-mass: the System already contains masses" in capsys.readouterr().err

@@ -307,5 +307,5 @@ def test_the_offset_of_averages_is_added_to_the_pressure_for_the_same_settings_a
     barostat = system.getForce(system.getNumForces() - 1)
     assert barostat.getDefaultPressure()._value == pytest.approx(1.0 - 9e-3 * 0.012**2 * 1e6)
     for step, kelvin, scheme in ((0.011, 300.0, "W2_3m"), (0.012, 310.0, "W2_3m"), (0.012, 300.0, "BAOA")):
-        with pytest.raises(ValueError, match=r"W2_3m at 0.012 ps and 300 K, and this run has"):
+        with pytest.raises(ValueError, match=r"W2_3m with a step of 0.012 ps at 300 K, but this run has"):
             correct_pressure(system, str(file), langevin(kelvin, 5.0, step, scheme=scheme), kelvin)

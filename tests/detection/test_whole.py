@@ -231,7 +231,7 @@ def test_dumbbells_side_by_side_of_two_lengths_across_the_box_are_refused_unless
     if length == 0.3:
         np.testing.assert_allclose(find_bodies(system, given, named, CUBE).inertia[:, 2], 6.0 * length**2, rtol=1e-12)
         return
-    with pytest.raises(ValueError, match=r"differ in shape only by the periodic images .* 1\.4 nm"):
+    with pytest.raises(ValueError, match=r"differ by widths of the periodic box, .* 1\.4 nm"):
         find_bodies(system, given, named, CUBE)
 
 
@@ -245,7 +245,7 @@ def test_bodies_of_a_file_that_rounds_are_joined_too():
 
 def test_a_pair_that_looks_split_is_taken_as_it_is_given_with_a_warning():
     x = np.array([[0.05, 1.0, 1.0], [2.95, 1.0, 1.0]])
-    with pytest.warns(rb.ShapeWarning, match=r"gap of 2\.9 nm .* would have one of 0\.1 nm"):
+    with pytest.warns(rb.ShapeWarning, match=r"gap of 2\.9 nm between its particles as given, or of 0\.1 nm"):
         bodies = find_bodies(system_of(2, CUBE), x, [[0, 1]], CUBE)
     assert bodies.inertia[0, 2] == pytest.approx(6.0 * 2.9**2, rel=1e-12)
 
@@ -257,13 +257,15 @@ def test_a_wide_pair_is_refused_where_the_box_has_split_others_unless_it_leaves_
     if place == 2.5:
         assert find_bodies(system, x, [[0, 1]], CUBE).inertia[0, 2] == pytest.approx(6.0, rel=1e-12)
         return
-    with pytest.raises(ValueError, match=r"gap of 1 nm may be a gap of 2 nm across the box: set positions in which"):
+    with pytest.raises(
+        ValueError, match=r"gap of 1 nm between its particles may be one of 2 nm across the box: set positions in which"
+    ):
         find_bodies(system, x, [[0, 1]], CUBE)
 
 
 def test_a_body_that_looks_split_is_taken_as_it_is_given_with_a_warning():
     x = wrapped(rings_of_six([[3.0, 1.0, 1.0]]), CUBE)
-    with pytest.warns(rb.ShapeWarning, match=r"body 0 has a gap of 2\.72 nm and is taken as it is given"):
+    with pytest.warns(rb.ShapeWarning, match=r"body 0 has a gap of 2\.72 nm between its particles as given"):
         bodies = find_bodies(system_of(6, CUBE), x, [range(6)], CUBE)
     np.testing.assert_array_equal(bodies.inertia, find_bodies(system_of(6, CUBE), x, [range(6)]).inertia)
 
@@ -271,7 +273,8 @@ def test_a_body_that_looks_split_is_taken_as_it_is_given_with_a_warning():
 def test_a_body_without_bonds_is_refused_where_other_molecules_are_split():
     x = np.concatenate([wrapped(rings_of_six([[3.0, 1.0, 1.0]]), CUBE), [[0.05, 2.0, 2.0], [2.95, 2.0, 2.0]]])
     with pytest.raises(
-        ValueError, match=r"body 0 is ambiguous, because its gap of 2\.72 nm may be a gap of 0\.14 nm across"
+        ValueError,
+        match=r"body 0 is ambiguous, because the gap of 2\.72 nm between its particles may be one of 0\.14 nm across",
     ):
         find_bodies(system_of(8, CUBE, [(6, 7, 0.1)]), x, [range(6)], CUBE)
 

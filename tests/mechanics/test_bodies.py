@@ -142,7 +142,7 @@ def test_a_mirror_image_and_an_atom_astray_are_named():
     system = openmm.System()
     add_rigid(system, CHIRAL, [1.0, 2.0, 3.0, 4.0])
     bodies = find_bodies(system, CHIRAL)
-    with pytest.raises(ValueError, match=r"body 0 \(particles 0, 1, 2, 3\) .* mirror image of it: set .*"):
+    with pytest.raises(ValueError, match=r"body 0 \(particles 0, 1, 2, 3\) .* shape of its mirror image: set .*"):
         fit(bodies, CHIRAL * [1.0, 1.0, -1.0], np.zeros((4, 3)))
     torn = CHIRAL.copy()
     torn[2] += [0.0, 3.0, 0.0]

@@ -252,7 +252,7 @@ def test_a_group_that_has_a_kick_of_its_own_is_not_nested_too():
         system.addForce(force)
     groups = Scheme("groups", 2, spelled("B0 B1 A B1 B0"))
     integrator, _ = moving(system, places, 0.001, groups, fast=(1,), innerSteps=2)
-    with pytest.raises(ValueError, match="kicks group 1 alone, which is fast too"):
+    with pytest.raises(ValueError, match="kicks force group 1 alone, but fast= names this group too"):
         integrator.step(1)
 
 
@@ -260,7 +260,10 @@ def test_a_group_that_has_a_kick_of_its_own_is_not_nested_too():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"fast": (7,)}, r"fast names force groups without forces \(7\); the forces of the System are in 0, 1"),
+        (
+            {"fast": (7,)},
+            r"fast names force groups without forces \(7\): name groups that contain forces, which are 0, 1",
+        ),
         ({"fast": (7,), "innerSteps": 4}, "fast names force groups without forces"),
         ({"fast": (1,)}, "no bonds, and no harmonic angles .* set the number of inner steps per step with innerSteps="),
     ],

@@ -267,5 +267,5 @@ def test_wrong_options_get_one_sentence(options, message):
 
 
 def test_the_kernel_needs_a_box_too():
-    with pytest.raises(ValueError, match="needs a box"):
+    with pytest.raises(ValueError, match="needs a periodic box"):
         SoftDipoles(None, (1.0, 1.0, 1.0)).energy_and_forces(np.zeros((2, 3)), PARAMETERS)

@@ -107,7 +107,7 @@ def test_the_topology_ends_in_centre_and_tip_as_with_every_kernel():
         ({"boundary": rb.Ewald(cutoff=2.6)}, "at most half the box"),
         ({"length": 0.0}, "length must be a positive"),
         ({"strength": np.nan}, "strength must be a finite number"),
-        ({"wca": True}, "without an attraction there is no minimum"),
+        ({"wca": True}, "wca=True needs a positive attraction"),
         ({"rods": [(0, 1, 2)]}, r"each rod is a pair of particles, plus, minus"),
         ({"rods": []}, "at least one rod"),
         ({"particles": 3}, "particles must be"),

@@ -198,12 +198,12 @@ def test_the_correction_follows_the_parameters_of_the_context():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"sphere_cutoff": 5.0}, "sphere_cutoff must be at most half the box, .* use a larger box"),
+        ({"sphere_cutoff": 5.0}, "sphere_cutoff must be at most half the box, .* or a larger box"),
         ({"sphere_cutoff": 0.0}, "sphere_cutoff must be a positive number of nm"),
         ({"sphere_cutoff": 2.0, "sphere_switch": 2.0}, "sphere_switch must be between 0 and the sphere_cutoff 2"),
-        ({"wca": True, "shifted": True}, "wca shifts the energy .* omit shifted"),
-        ({"wca": True, "long_range_correction": True}, "without wca: omit this argument"),
-        ({"wca": True, "sphere_cutoff": 1.2}, "begins before their minimum, at 1.12246 nm"),
+        ({"wca": True, "shifted": True}, "wca=True already shifts the energy .* omit shifted"),
+        ({"wca": True, "long_range_correction": True}, "without wca: omit long_range_correction="),
+        ({"wca": True, "sphere_cutoff": 1.2}, "before the minimum of their energy at 1.12246 nm"),
         ({"boundary": rb.Open(), "sphere_cutoff": 2.0}, "are for a periodic box"),
         ({"boundary": rb.Open(), "long_range_correction": True}, "spheres in a periodic box"),
     ],

@@ -72,7 +72,7 @@ def test_fluctuations_that_no_dielectric_has_give_infinity():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"moments": np.zeros((40, 2))}, "rows of three numbers, not of shape"),
+        ({"moments": np.zeros((40, 2))}, r"shape \(n, 3\), a row of three numbers for each of n frames, not"),
         ({"moments": np.full((40, 3), np.nan)}, "finite numbers below .* row 0 is .nan"),
         ({"volume": 0.0}, "volume must be a positive number of nm³"),
         ({"kT": -1.0}, "kT must be a positive number of kJ/mol"),

@@ -160,7 +160,7 @@ def test_views_and_other_dtypes_are_taken(bodies):
         ({"inertia": [1.0, np.nan, 2.0]}, "positive and finite"),
         ({"q0": [1.0, 0.0, 0.0]}, "must have the shape"),
         ({"q0": [0.0, 0.0, 0.0, 0.0]}, "is zero"),
-        ({"m0": np.ones((2, 3)), "t": np.ones(3)}, "do not agree on the number of bodies"),
+        ({"m0": np.ones((2, 3)), "t": np.ones(3)}, "do not agree on the number N of bodies"),
         ({"m0": np.ones((2, 2, 3))}, "along one axis"),
     ],
 )
@@ -244,7 +244,7 @@ def test_arrays_that_are_not_of_one_number_of_bodies_are_refused(inertia, q, m, 
     flow = rb.rotors.rotor("exact", np.ones(inertia) * [1.0, 2.0, 2.5])
     for _ in range(2):
         with pytest.raises(
-            ValueError, match=r"do not agree on the number N of bodies: give q \(4, N\), m \(3, N\), and t and"
+            ValueError, match=r"do not agree on the number N of bodies: use the shapes \(4, N\) for q, \(3, N\) for m"
         ):
             flow(np.full(q, 0.5), np.ones(m), np.full(t, 0.1))
 

@@ -153,7 +153,7 @@ def test_force_gradients_are_built_from_the_pattern_of_a_step():
     for magnification in (0.0, np.nan, np.inf):
         with pytest.raises(ValueError, match="magnification must be"):
             force_gradient("wrong", "ACA", order=2, e=(0.1,), magnification=magnification)
-    with pytest.raises(ValueError, match=r"one number for each C .* not 2"):
+    with pytest.raises(ValueError, match=r"e has 2 numbers, but needs .* one for each C"):
         force_gradient("wrong", "BACAB", order=2, b=(0.1,), e=(0.1, 0.2))
 
 

@@ -96,7 +96,7 @@ def test_energies_of_another_integrator_are_refused_and_nothing_is_left(tmp_path
 
 def test_a_reporter_that_cannot_append_is_refused_before_anything_is_written(tmp_path):
     run = rb.Run(tmp_path / "run")
-    one_sentence("PDBReporter .* takes no append=", lambda: run.add_reporter(app.PDBReporter, "a.pdb", 1))
+    one_sentence("PDBReporter .* has no argument append=", lambda: run.add_reporter(app.PDBReporter, "a.pdb", 1))
     assert not list(tmp_path.iterdir())
     run.add_reporter(app.XTCReporter, "a.xtc", 1)
     quietly(run.advance, water(), 2)

@@ -137,7 +137,7 @@ def test_a_second_thermostat_is_refused():
     simulation = droplet_of(langevin())
     simulation.system.addForce(openmm.AndersenThermostat(300.0, 1.0))
     simulation.context.reinitialize(preserveState=True)
-    with pytest.raises(ValueError, match="AndersenThermostat, but this integrator has a thermostat of its own"):
+    with pytest.raises(ValueError, match="AndersenThermostat, but this integrator has a thermostat too"):
         simulation.integrator.step(1)
 
 

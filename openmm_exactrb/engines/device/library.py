@@ -59,14 +59,14 @@ class Library:
             self._functions = ctypes.CDLL(str(path))  # OpenMM's library, to which this one is linked, is already loaded
         except OSError as error:
             raise MissingLibraryError(
-                f"{path} cannot be loaded ({error}): delete it, so that it is compiled again"
+                f"{path} cannot be loaded ({error}): delete this file, so that it is compiled again"
             ) from error
         self._functions.pi_error.restype = ctypes.c_char_p
         self._functions.pi_register.restype = ctypes.c_char_p
         if built_for := self._functions.pi_register():
             raise MissingLibraryError(
-                f"{path} was built for OpenMM {built_for.decode()}, not {openmm.__version__}: delete it, "
-                "so that it is compiled again"
+                f"{path} was built for OpenMM {built_for.decode()}, not {openmm.__version__}: delete this "
+                "file, so that it is compiled again"
             )
 
     def make(self) -> Any:
@@ -257,7 +257,10 @@ def build(path: Path, command: str | None = None) -> None:
         done = subprocess.run([command, version, *_FLAGS, *link], capture_output=True, text=True, check=False)
         if done.returncode:
             errors = [line for line in done.stderr.splitlines() if "error" in line] or done.stderr.splitlines()
-            raise MissingLibraryError(f"{command} cannot compile the device engine: {(errors or ['no message'])[0]}")
+            raise MissingLibraryError(
+                f"{command} cannot compile the device engine ({(errors or ['no message'])[0]}): name another C++ "
+                f"compiler in the environment variable {COMPILER}"
+            )
         Path(temporary).chmod(0o700)
         Path(temporary).replace(path)
     finally:
@@ -271,7 +274,9 @@ def private_folder() -> Path:
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError as error:
-        raise MissingLibraryError(f"the folder {folder} cannot be created: {error}; name another in {CACHE}") from error
+        raise MissingLibraryError(
+            f"the folder {folder} cannot be created ({error}): set the environment variable {CACHE} to another folder"
+        ) from error
     _check_owner(folder)
     return folder
 
@@ -283,5 +288,6 @@ def _check_owner(path: Path) -> None:
     status = path.stat()
     if status.st_uid != os.getuid() or stat.S_IMODE(status.st_mode) & 0o077:  # noqa: TID251
         raise MissingLibraryError(
-            f"{path} is not loaded because other users have access to it: remove it, or name another folder in {CACHE}"
+            f"{path} is not loaded, because other users have access to this path: delete it, or set the environment "
+            f"variable {CACHE} to another folder"
         )

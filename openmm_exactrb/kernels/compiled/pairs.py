@@ -43,7 +43,9 @@ def soft_dipoles(
     1/(width of their switch in r²) and the energy that is subtracted from the energy of the spheres.
     """
     if ewald and truncation is None:
-        raise ValueError("an Ewald sum needs a box")
+        raise ValueError(
+            "an Ewald sum of dipoles needs a periodic box: pass box=(a, b, c), its edges in nm, to soft_dipole_force"
+        )
     n = len(x) // 2
     threads = threads or (cores() if _work(n, truncation, ewald) > _SHARED else 1)
     alpha, arrows = ewald and ewald[0], _split(x)
@@ -82,8 +84,8 @@ def _images(arrows: Array, n: int, edges: mesh.Edges, ewald: Ewald, threads: int
     x, y, z = (mesh.fast_size(edge / step) for edge, step in zip(edges, steps, strict=True))
     if min(x, y, z) < mesh.spline(order).shape[2]:
         raise ValueError(
-            f"the box, {min(edges):g} nm, has become too small for its mesh: splines of order {order} do not fit into "
-            f"{min(x, y, z)} points; create the force for this box"
+            f"the box, {min(edges):g} nm, has become too small for the mesh of the Ewald sum, because splines of order "
+            f"{order} do not fit into {min(x, y, z)} points: create the force again for a box of this size"
         )
     r, u = arrows[:3, :n].copy(), arrows[3:, :n].copy()
     return mesh.reciprocal_space(r, u, edges, alpha, (x, y, z), order, dielectric, threads)

@@ -131,8 +131,8 @@ def served(system: openmm.System, bodies: RigidBodies, fast: FastForces | None, 
     if what := _without_kernel(system, bodies, fast, excerpt):
         if not fast.groups:
             raise NotServedError(
-                f"the device has no kernel for {what}: give the fast forces a force group of their own, as "
-                "separate_bonded(system) does, and name it, such as fast=(1,)"
+                f"the device has no kernel for {what}: put the fast forces into a separate force group, as "
+                "separate_bonded(system) does, and name this group, such as fast=(1,)"
             )
         return Served(without_terms, Evaluated(fast.groups, inner, what))
     if excerpt is None:
@@ -149,8 +149,8 @@ def _require_small_clusters(bodies: RigidBodies) -> None:
     for kind in bodies.clusters.kinds:
         if kind.particles.shape[1] > LARGEST:
             raise NotServedError(
-                f"constraints hold {kind.particles.shape[1]} atoms together, {kind.name(0)}, and the device has "
-                f"kernels for {LARGEST} at most: create the System with constraints=HBonds"
+                f"constraints hold {kind.particles.shape[1]} atoms together in {kind.name(0)}, and the device "
+                f"has kernels for {LARGEST} at most: create the System with constraints=HBonds"
             )
 
 
@@ -159,8 +159,8 @@ def _require_room(terms: Terms) -> None:
     count = np.bincount(np.concatenate([of_kind.ravel() for of_kind in particles(terms)]), minlength=1)
     if count.max() > MOST_TERMS:
         raise NotServedError(
-            f"particle {count.argmax()} is in {count.max()} bonded terms, and a block of the device has room for "
-            f"{MOST_TERMS}: distribute them over several particles, or use a CustomExternalForce for restraints"
+            f"particle {count.argmax()} is in {count.max()} bonded terms, and the device has room for at most "
+            f"{MOST_TERMS}: distribute the terms over several particles, or use a CustomExternalForce for restraints"
         )
 
 
