@@ -34,7 +34,7 @@ def test_energies_with_heavy_hydrogens_deviate_as_the_page_says():
     assert f"SPC/E, which is {with_error(less, error, 3)} kJ/mol too high" in page
     others = ("SPC/E", "constant volume", "potential energy"), ("TIP4P/2005", "constant volume", "potential energy")
     for kind in (*others, ("TIP4P/2005", "1 bar", "enthalpy")):
-        assert abs(deviation(*kind)[0]) < 0.035
+        assert abs(deviation(*kind)[0]) < 0.045
 
 
 def test_at_the_next_kick_the_error_of_the_pressure_is_less_than_half_of_that_at_the_end_of_a_step():
