@@ -84,8 +84,8 @@ def carry_out(args: argparse.Namespace) -> int:
     settled = inputs.with_defaults(args, _DEFAULTS)
     if args.resume and not args.files and not args.solvate:
         raise ValueError(
-            f"--resume needs the files and options with which the run in {args.out} was started: repeat the command that "
-            "started the run, and add --resume"
+            f"--resume needs the files and options with which the run in {args.out} was started: repeat the command "
+            "that started the run, and add --resume"
         )
     job = Run.from_options(settled, free=_FREE)
     scheme = _scheme_of(args)

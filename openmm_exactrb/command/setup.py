@@ -31,8 +31,8 @@ def couple(system: openmm.System, args: argparse.Namespace) -> None:
     others = [name for force in system.getForces() if (name := type(force).__name__) in UPDATES and name != _REMOVER]
     if others:
         raise ValueError(
-            f"the System already contains {', '.join(others)}, but --ensemble nvt adds a thermostat, and npt a thermostat "
-            f"and a barostat: remove {', '.join(others)} from the System"
+            f"the System already contains {', '.join(others)}, but --ensemble nvt adds a thermostat, and npt a "
+            f"thermostat and a barostat: remove {', '.join(others)} from the System"
         )
     if args.ensemble != "npt":
         return
@@ -61,9 +61,9 @@ def correct_pressure(
     theirs, own = (offset.scheme, offset.step, offset.temperature), (scheme, step, temperature)
     if theirs[0] != scheme or not np.allclose(theirs[1:], own[1:], rtol=1e-9):
         raise ValueError(
-            f"the pressure offset of {file} is for {theirs[0]} with a step of {theirs[1]:g} ps at {theirs[2]:g} K, but this "
-            f"run has {own[0]} with a step of {own[1]:g} ps at {own[2]:g} K: give the averages.csv of a run at constant "
-            "volume with the same scheme, step and temperature as this run"
+            f"the pressure offset of {file} is for {theirs[0]} with a step of {theirs[1]:g} ps at {theirs[2]:g} K, but "
+            f"this run has {own[0]} with a step of {own[1]:g} ps at {own[2]:g} K: give the averages.csv of a run at "
+            "constant volume with the same scheme, step and temperature as this run"
         )
     for force in system.getForces():
         if isinstance(force, openmm.MonteCarloBarostat):

@@ -138,7 +138,8 @@ def _named_bodies(system: openmm.System, masses: Array, bodies: Sequence[Sequenc
     for particle in map(int, np.flatnonzero((owner >= 0) & (masses == 0.0))):
         if not system.isVirtualSite(particle):
             raise ValueError(
-                f"particle {particle} of body {owner[particle]} has no mass: set a mass in the System, or omit the particle in bodies="
+                f"particle {particle} of body {owner[particle]} has no mass: set a mass in the System, or omit the "
+                "particle in bodies="
             )
     named = []
     for number, body in enumerate(bodies):

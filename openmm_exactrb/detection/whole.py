@@ -179,7 +179,8 @@ def _by_common_shape(X: Array, box: Array) -> tuple[Array, NDArray[np.bool_]]:
         longest = _steps(near[0]).max()
         if longest > _CLEAR * half_width(box):
             raise ValueError(
-                f"the shapes of bodies of {len(near[0])} particles with the same masses differ by widths of the periodic box, "
+                f"the shapes of bodies of {len(near[0])} particles with the same masses differ by widths of the "
+                "periodic box, "
                 f"and a gap of at least {longest:.3g} nm within a body is too wide to decide which shape is whole: "
                 + _REMEDY
             )
@@ -251,15 +252,15 @@ def _say(number: int, X: Array, box: Array, split: bool) -> None:
     if split and (torn or across > clear):
         raise ValueError(
             f"the periodic box has split molecules, and the shape of body {number} is ambiguous, because the gap of "
-            f"{given:.3g} nm between its particles may be one of {across if torn else 4.0 * clear - given:.3g} nm across "
-            f"the box: {_REMEDY}"
+            f"{given:.3g} nm between its particles may be one of {across if torn else 4.0 * clear - given:.3g} nm "
+            f"across the box: {_REMEDY}"
         )
     fitting = across <= _FITTING * steps[steps <= across * (1.0 + 1e-6)].max(initial=0.0)
     likely = (in_cell or given > 4.0 * clear) and (len(X) > 2 or across < clear)
     if torn and (fitting or likely):
         warn(
-            f"body {number} has a gap of {given:.3g} nm between its particles as given, or of {across:.2g} nm across the "
-            f"periodic box, and the positions are used as given: if the box has split this body, {_REMEDY}",
+            f"body {number} has a gap of {given:.3g} nm between its particles as given, or of {across:.2g} nm across "
+            f"the periodic box, and the positions are used as given: if the box has split this body, {_REMEDY}",
             ShapeWarning,
         )
 

@@ -151,8 +151,8 @@ def _cause(bodies: RigidBodies, x: Array, body: int) -> str | None:
     missed = np.array([_missed_by(k, kind.weights, sites, x[particles]) for k in range(len(particles))])
     if _missed_by(None, kind.weights, -sites, x[particles]).max() <= REFUSED:
         return (
-            " and has the shape of its mirror image: set positions with the handedness of those that were set first, or "
-            "call context.reinitialize(preserveState=True) to make the present positions the shape"
+            " and has the shape of its mirror image: set positions with the handedness of those that were set first, "
+            "or call context.reinitialize(preserveState=True) to make the present positions the shape"
         )
     (astray,) = np.nonzero(np.where(np.eye(len(missed)), 0.0, missed).max(axis=1) <= REFUSED)
     if len(astray) != 1:

@@ -159,13 +159,14 @@ class FastForces:
         if self.settings.fast == BONDED and groups:
             raise ValueError(
                 f"scheme {outer.name} kicks single force groups ({', '.join(map(str, groups))}), which may contain "
-                f"bonded forces: put the fast forces into a group that no kick names, and set fast= to it, such as fast=(7,)"
+                "bonded forces: put the fast forces into a group that no kick names, and set fast= to it, such as "
+                "fast=(7,)"
             )
         twice = [group for group in groups if group in self.named]
         if twice:
             raise ValueError(
-                f"scheme {outer.name} kicks force group {twice[0]} alone, but fast= names this group too, so that its forces "
-                "would act twice: remove the group from fast= or from the scheme"
+                f"scheme {outer.name} kicks force group {twice[0]} alone, but fast= names this group too, so that its "
+                "forces would act twice: remove the group from fast= or from the scheme"
             )
         if self.settings.asked_for or not outer.stages:
             return self.settings.asked_for

@@ -138,8 +138,8 @@ def spheres_of(
         end = (2.0 / attraction) ** (1.0 / 6.0) * sigma
         if found is not None and found.switch < end:
             raise ValueError(
-                f"the switch of the spheres begins at {found.switch:g} nm, before the minimum of their energy at {end:g} nm: "
-                "use a larger box, or a larger sphere_cutoff"
+                f"the switch of the spheres begins at {found.switch:g} nm, before the minimum of their energy at "
+                f"{end:g} nm: use a larger box, or a larger sphere_cutoff"
             )
     return found
 
@@ -161,8 +161,8 @@ def _check_tips(cutoff: float, length: float, edges: Sequence[float]) -> None:
     half, reach = 0.5 * min(edges), cutoff + 2.0 * length
     if not reach < half:
         raise ValueError(
-            f"kernel='openmm' needs cutoff + 2 * length below half the box, {half:g} nm, but this sum is {reach:g} nm: use a "
-            "shorter cutoff, a larger box, or kernel='bonds'"
+            f"kernel='openmm' needs cutoff + 2 * length below half the box, {half:g} nm, but this sum is {reach:g} nm: "
+            "use a shorter cutoff, a larger box, or kernel='bonds'"
         )
 
 

@@ -62,8 +62,8 @@ def free_rotor(
         shape = np.broadcast_shapes(inertia.shape[:-1], q.shape[:-1], m.shape[:-1], t.shape)
     except ValueError:
         raise ValueError(
-            f"the shapes of inertia {inertia.shape}, q0 {q.shape}, m0 {m.shape} and t {t.shape} do not agree on the number "
-            "N of bodies: use the shapes (N, 3), (N, 4), (N, 3) and (N,), each without N for one body"
+            f"the shapes of inertia {inertia.shape}, q0 {q.shape}, m0 {m.shape} and t {t.shape} do not agree on the "
+            "number N of bodies: use the shapes (N, 3), (N, 4), (N, 3) and (N,), each without N for one body"
         ) from None
     if len(shape) > 1:
         raise ValueError(

@@ -130,7 +130,8 @@ def _columns(inertia: ArrayLike) -> Array:
     if (least < np.maximum(SMALLEST_MOMENT, largest / WIDEST)).any() or (largest > LARGEST_MOMENT).any():
         raise ValueError(
             f"inertia must lie between {SMALLEST_MOMENT:g} and {LARGEST_MOMENT:g}, and the moments of one body "
-            f"within a factor of {WIDEST:g}: use other units, give light particles more mass, or treat the body as linear"
+            f"within a factor of {WIDEST:g}: use other units, give light particles more mass, or treat the body as "
+            "linear"
         )
     return np.ascontiguousarray(np.atleast_2d(moments).T)
 

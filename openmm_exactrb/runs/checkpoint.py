@@ -40,8 +40,8 @@ class Checkpoint(NamedTuple):
             was, now = self.identity.get(name, "not there"), identity.get(name, "not there")
             if was != now:
                 raise ValueError(
-                    f"{file} belongs to another run, in which {name} was {was}, but is {now} now: change {name} back, use another "
-                    "folder, or overwrite the run (overwrite=True or --overwrite)"
+                    f"{file} belongs to another run, in which {name} was {was}, but is {now} now: change {name} back, "
+                    "use another folder, or overwrite the run (overwrite=True or --overwrite)"
                 )
 
     def check_cut_files(self, folder: Path) -> None:

@@ -38,7 +38,8 @@ def _text_of_system(system: openmm.System) -> str:
         content = openmm.XmlSerializer.serialize(system)
     except Exception as error:  # a PythonForce raises any error of pickle for its function
         raise ValueError(
-            f"the System of a run must be one that OpenMM can serialise ({error}): replace the force that cannot be serialised"
+            f"the System of a run must be one that OpenMM can serialise ({error}): replace the force that cannot be "
+            "serialised"
         ) from error
     return f"{system.getNumParticles()} particles, hash {digest(content.encode())}"
 

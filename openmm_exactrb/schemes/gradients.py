@@ -77,8 +77,8 @@ def force_gradient(
     half = (len(kicks) + 1) // 2
     if kicks[:half].count("C") != len(e):
         raise ValueError(
-            f"scheme {name}: e has {len(e)} numbers, but needs {kicks[:half].count('C')}: one for each C in the first half "
-            f"of {pattern!r}, including a C in the middle"
+            f"scheme {name}: e has {len(e)} numbers, but needs {kicks[:half].count('C')}: one for each C in the "
+            f"first half of {pattern!r}, including a C in the middle"
         )
     if not (math.isfinite(magnification) and magnification):
         raise ValueError(f"scheme {name}: magnification must be a finite number other than 0, not {magnification}")

@@ -106,7 +106,8 @@ def proposal(scheme: Scheme, steps: int) -> Scheme:
     """
     if scheme.has(HEAT_EXCHANGE):
         raise ValueError(
-            f"scheme {scheme.name} contains a thermostat, but the scheme of proposals must not: choose one without, such as S2_2"
+            f"scheme {scheme.name} contains a thermostat, but the scheme of proposals must not: choose one "
+            "without, such as S2_2"
         )
     require_symmetric(scheme)
     rows = repeated(scheme.sequence, steps)
