@@ -180,9 +180,8 @@ def _by_common_shape(X: Array, box: Array) -> tuple[Array, NDArray[np.bool_]]:
         if longest > _CLEAR * half_width(box):
             raise ValueError(
                 f"the shapes of bodies of {len(near[0])} particles with the same masses differ by widths of the "
-                "periodic box, "
-                f"and a gap of at least {longest:.3g} nm within a body is too wide to decide which shape is whole: "
-                + _REMEDY
+                f"periodic box, and a gap of at least {longest:.3g} nm within a body is too wide to decide which shape "
+                "is whole: " + _REMEDY
             )
         return _joined_to(near[0], X, box), confirmed
     common = _common_images(X, box)

@@ -177,9 +177,8 @@ class ClusterKind:
             raise ValueError(
                 f"{self.name(worst).capitalize()} is in a singular configuration, where the constraint of particles "
                 f"{i} and {j} follows from the others: if its particles are on a line or in a plane by chance, set "
-                "other "
-                "positions; if a part of the molecule is always straight or flat, remove this constraint, or make the "
-                "molecule rigid by constraining all distances or naming the molecule in bodies="
+                "other positions; if a part of the molecule is always straight or flat, remove this constraint, or "
+                "make the molecule rigid by constraining all distances or naming the molecule in bodies="
             )
 
 

@@ -40,7 +40,7 @@ class Checkpoint(NamedTuple):
             was, now = self.identity.get(name, "not there"), identity.get(name, "not there")
             if was != now:
                 raise ValueError(
-                    f"{file} belongs to another run, in which {name} was {was}, but is {now} now: change {name} back, "
+                    f"{file} belongs to another run, in which {name} was {was}, but is {now} now: change this back, "
                     "use another folder, or overwrite the run (overwrite=True or --overwrite)"
                 )
 

@@ -354,7 +354,9 @@ def test_what_a_file_lacks_is_said(tmp_path):
         with pytest.raises(ValueError, match=r"line 102 of .* has a non-finite value"):
             rb.corrected(few, "pressure")
     few.write_text("".join([lines[0].replace('"barostat_slope"', '"others"'), *lines[1:]]))
-    with pytest.raises(ValueError, match="written by another version of openmm_exactrb: report again"):
+    with pytest.raises(
+        ValueError, match="written by another version of openmm_exactrb: read the file with that version"
+    ):
         rb.corrected(few, "pressure")
     (tmp_path / "no.csv").write_text("step,time\n")
     with pytest.raises(ValueError, match="was not written by an AverageReporter"):
