@@ -10,7 +10,6 @@ from openmm import unit
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.openmm_access.units import kelvin
 from openmm_exactrb.support.checks import whole
-from openmm_exactrb.thermostats.face import ThermostattedIntegrator
 
 
 class CanonicalMomenta:
@@ -53,7 +52,7 @@ class CanonicalMomenta:
     def describeNextReport(self, simulation: Any) -> dict[str, Any]:
         """Return the number of steps to the next draw, in the form that OpenMM requires."""
         integrator = simulation.integrator
-        if not isinstance(integrator, ExactRigidBodyIntegrator) or isinstance(integrator, ThermostattedIntegrator):
+        if not isinstance(integrator, ExactRigidBodyIntegrator) or integrator.getThermostat() is not None:
             raise ValueError(
                 "CanonicalMomenta works only with an ExactRigidBodyIntegrator without a thermostat, not with a "
                 f"{type(integrator).__name__}: remove the CanonicalMomenta from simulation.reporters"

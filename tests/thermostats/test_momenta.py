@@ -6,6 +6,7 @@ import pytest
 from openmm import unit
 
 import openmm_exactrb as rb
+from openmm_exactrb.thermostats import NoseHooverChain
 from starts import simulation_of
 
 R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
@@ -58,8 +59,12 @@ def test_other_bad_input_is_refused_at_once(arguments, message):
 
 @pytest.mark.parametrize(
     "integrator",
-    [rb.ExactRigidBodyLangevinIntegrator(300.0, 1.0, 0.01), openmm.VerletIntegrator(0.001)],
-    ids=["with a thermostat", "OpenMM's"],
+    [
+        rb.ExactRigidBodyLangevinIntegrator(300.0, 1.0, 0.01),
+        rb.ExactRigidBodyIntegrator(0.01, thermostat=NoseHooverChain(300.0, 1.0)),
+        openmm.VerletIntegrator(0.001),
+    ],
+    ids=["with a thermostat", "with one passed to it", "OpenMM's"],
 )
 def test_an_integrator_that_has_a_thermostat_or_no_bodies_is_refused(integrator):
     topology, system, positions = rb.dipole_fluid(64, seed=1)

@@ -176,7 +176,7 @@ def test_what_is_not_served_is_named():
     _, system, x = peptide()
     assert "no force-gradient kicks of flexible molecules, which Chin4A needs" in refusal(system, x, scheme="Chin4A")
     system.addForce(tether(0, 9))
-    assert "no kernel for the fast force tether: give" in refusal(system, x, fast="bonded")
+    assert "no kernel for the fast force tether: put" in refusal(system, x, fast="bonded")
     _, hub, _ = peptide()
     (bonds,) = (force for force in hub.getForces() if isinstance(force, openmm.HarmonicBondForce))
     for _ in range(401):
