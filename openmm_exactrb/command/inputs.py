@@ -231,7 +231,7 @@ def _understood(what: str, function: Callable[..., Any], *arguments: Any, **opti
     except OSError:
         raise
     except Exception as error:
-        raise ValueError(f"{what} cannot be read: {' '.join(str(error).split())}") from error
+        raise ValueError(f"{what} cannot be used: {' '.join(str(error).split())}") from error
 
 
 def begin_at(simulation: app.Simulation, state: openmm.State) -> None:

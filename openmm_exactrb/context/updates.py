@@ -204,7 +204,7 @@ def _check_dipoles_of_one_box(context: openmm.Context, barostats: list[Any]) -> 
         formula = isinstance(force, openmm.CustomHbondForce | openmm.CustomCompoundBondForce)
         if formula and force.getName() == _OURS[0] and force.usesPeriodicBoundaryConditions():
             raise ValueError(
-                "a barostat changes the box, to which dipoles with kernel='bonds' cannot adapt, and dipoles with "
-                "kernel='openmm' only while the box is wide enough: create the dipoles with kernel='compiled', or "
-                "remove the barostat from the System"
+                "a barostat changes the box, but dipoles with kernel='bonds' cannot adapt to another box, and those "
+                "with kernel='openmm' can adapt only while the box is wide enough: create the dipoles with "
+                "kernel='compiled', or remove the barostat from the System"
             )

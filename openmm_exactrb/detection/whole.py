@@ -271,5 +271,5 @@ def _in_cell(X: Array, box: Array) -> bool:
 
 
 def _steps(X: Array) -> Array:
-    """Return the distances (k - 1,) between successive particles along a path through a body (k, 3)."""
+    """Return the lengths (k - 1,) of the links of a shortest tree through the particles of a body (k, 3)."""
     return np.asarray(np.linalg.norm(np.diff(X[shortest_tree(X[None])], axis=1)[:, 0], axis=1))

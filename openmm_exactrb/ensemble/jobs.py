@@ -1,4 +1,4 @@
-"""Jobs, which are functions with arguments and a key that is the same in every process, and their results."""
+"""Jobs and their results. A job is a function with its arguments and a key that is the same in every process."""
 
 from __future__ import annotations
 

@@ -225,8 +225,8 @@ def _of_groups(system: openmm.System, settings: MultipleTimeSteps) -> FastForces
     groups = tuple(group for group in map(int, settings.fast) if group in present)
     if not groups:
         warn(
-            f"{_NO_INNER_STEPS}fast names force groups without forces ({', '.join(map(str, settings.fast))}): name "
-            f"groups that contain forces, which are {', '.join(map(str, sorted(present))) or 'none'} in this System"
+            f"{_NO_INNER_STEPS}the force groups of fast=, {', '.join(map(str, settings.fast))}, contain no forces, and "
+            f"the force groups of this System are {', '.join(map(str, sorted(present))) or 'empty'}"
         )
         return None
     if present <= set(groups):

@@ -164,8 +164,8 @@ def others(state: InitialState, number: int, seed: int) -> list[InitialState]:
                 done.append(next(heat(integrator, context)))
         if not done:
             raise ValueError(
-                f"every short run at {temperature:.0f} K from the start diverges: minimise the energy of the start "
-                "first"
+                f"every short run at {temperature:.0f} K that begins at the given start diverges: minimise the energy "
+                "of the start first"
             )
         states.append(state.updated(context))
     return states

@@ -262,9 +262,9 @@ def test_a_group_that_has_a_kick_of_its_own_is_not_nested_too():
     [
         (
             {"fast": (7,)},
-            r"fast names force groups without forces \(7\): name groups that contain forces, which are 0, 1",
+            r"the force groups of fast=, 7, contain no forces, and the force groups of this System are 0, 1",
         ),
-        ({"fast": (7,), "innerSteps": 4}, "fast names force groups without forces"),
+        ({"fast": (7,), "innerSteps": 4}, "the force groups of fast=, 7, contain no forces"),
         ({"fast": (1,)}, "no bonds, and no harmonic angles .* set the number of inner steps per step with innerSteps="),
     ],
 )

@@ -161,7 +161,7 @@ def test_views_and_other_dtypes_are_taken(bodies):
         ({"q0": [1.0, 0.0, 0.0]}, "must have the shape"),
         ({"q0": [0.0, 0.0, 0.0, 0.0]}, "is zero"),
         ({"m0": np.ones((2, 3)), "t": np.ones(3)}, "do not agree on the number N of bodies"),
-        ({"m0": np.ones((2, 2, 3))}, "along one axis"),
+        ({"m0": np.ones((2, 2, 3))}, "one axis of bodies, not 2"),
     ],
 )
 def test_wrong_input_gets_one_sentence(change, message):

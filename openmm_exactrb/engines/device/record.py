@@ -83,7 +83,7 @@ def _marks(settings: Settings) -> tuple[float, ...]:
 
 
 def _declare(integrator: openmm.CustomIntegrator, settings: Settings) -> None:
-    """Replace the integrator of a Python object by a program integrator with the variables of this package."""
+    """Replace the C++ integrator in a Python object by a program integrator with the variables of this package."""
     try:
         made = library().make()
     except MissingLibraryError as error:

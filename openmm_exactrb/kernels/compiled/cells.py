@@ -150,7 +150,7 @@ def _arithmetic(k, u, work, repulsion, coupling, attraction, minimum, alpha, tru
 def _slabs(
     first, last, heads, placed, m, repulsion, coupling, attraction, minimum, alpha, truncation, energies, partial
 ):
-    """Sum over pairs of one dipole in given planes of cells and another in half of the cells around the first."""
+    """Add energies and forces of pairs: one dipole in given planes of cells, one in half of the cells around it."""
     n, end = placed.shape[1], truncation[3]
     found, far, work = np.empty((3, 2 * n)), np.empty(2 * n), np.zeros(13 * _CHUNK)
     who, hits = np.empty(2 * n, np.uint64), np.empty(2 * n + 1, np.uint64)  # unsigned, as no index is negative

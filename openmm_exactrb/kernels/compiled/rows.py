@@ -108,7 +108,7 @@ def add_plane(typingctx, mesh, at, stride, w, a, b, c, steps):
 
 @intrinsic
 def sum_plane(typingctx, phi, at, stride, w, a, sums, steps):
-    """Add sums over y of plane a of phi, which starts at phi[at:], times the splines w along x and y, to `sums`.
+    """Add plane a of phi, which starts at phi[at:], times the splines w along x and y, summed over y, to `sums`.
 
     The six rows of `sums` are for the products X Y, X' Y, X Y', X'' Y, X' Y' and X Y''.
     """
