@@ -36,7 +36,7 @@ class State(NamedTuple):
     Attributes
     ----------
     R, P : (2, 3, N) arrays
-        Centres of mass and linear momenta, in nm and Da nm/ps, or in the units of the caller.
+        Centres of mass in nm and linear momenta in amu nm/ps.
     q : (2, 4, K) array
         Orientations.
     m : (2, 3, K) array
