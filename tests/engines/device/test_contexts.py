@@ -58,6 +58,12 @@ def lengths(context):
     return np.array([np.linalg.norm(x[:, i] - x[:, j], axis=1) for i, j in ((0, 1), (0, 2), (1, 2))])
 
 
+def centres(context):
+    """Return the centres of the molecules in units of the sides of the box, and its volume."""
+    sides = np.diagonal(context.getState().getPeriodicBoxVectors(asNumpy=True)._value)
+    return held(context)[0].reshape(-1, 3, 3).mean(axis=1) / sides, sides.prod()
+
+
 @pytest.mark.parametrize(
     ("scheme", "forces"), [("S2_2", 2), ("W2_1", 1), pytest.param("S6_10", 10, marks=LONG), ("BAOA", 1)]
 )
@@ -134,14 +140,9 @@ def test_a_barostat_moves_whole_bodies_with_the_box(box, barostat, scheme):
     force.setRandomNumberSeed(1)
     system.addForce(force)
     context = on_device((system, box[1]), make(scheme, 1e-6))
-
-    def centres():
-        sides = np.diagonal(context.getState().getPeriodicBoxVectors(asNumpy=True)._value)
-        return held(context)[0].reshape(-1, 3, 3).mean(axis=1) / sides, sides.prod()
-
-    before, (was, volume) = lengths(context), centres()
+    before, (was, volume) = lengths(context), centres(context)
     context.getIntegrator().step(14)
-    now, other = centres()
+    now, other = centres(context)
     assert abs(other / volume - 1.0) > 1e-6
     np.testing.assert_allclose((now - was + 0.5) % 1.0, 0.5, rtol=0.0, atol=1e-4)  # thermal motion
     np.testing.assert_allclose(lengths(context), before, rtol=0.0, atol=1e-12)
@@ -157,14 +158,9 @@ def test_after_a_checkpoint_a_barostat_moves_bodies_where_its_own_count_says(box
     one, other = (on_device((system, box[1]), make("W2_1", 1e-6)) for _ in range(2))
     one.getIntegrator().step(10)
     other.loadCheckpoint(one.createCheckpoint())
-
-    def centres():
-        sides = np.diagonal(other.getState().getPeriodicBoxVectors(asNumpy=True)._value)
-        return held(other)[0].reshape(-1, 3, 3).mean(axis=1) / sides, sides.prod()
-
-    was, volume = centres()
+    was, volume = centres(other)
     other.getIntegrator().step(14)
-    now, after = centres()
+    now, after = centres(other)
     assert abs(after / volume - 1.0) > 1e-6
     np.testing.assert_allclose((now - was + 0.5) % 1.0, 0.5, rtol=0.0, atol=1e-4)  # thermal motion
 
