@@ -1,14 +1,15 @@
 """Averages at long steps, as they are and corrected, beside those of small steps.
 
-Boxes of 216 molecules with PME and a switch at 298.15 K, friction 5/ps, on the CPU platform with one thread: at
-constant volume the potential energy and the pressure, at 1 bar the density and the enthalpy; as they are and corrected
-by `openmm_exactrb.corrected`. With `--offset` the barostat is set to 1 bar and the offset that the runs at constant
+Boxes of 216 molecules with PME and a switch at 298.15 K, friction 5/ps, on the CPU platform with one thread, or larger
+ones on a GPU: at constant volume the potential energy and the pressure, at 1 bar the density and the enthalpy; as they
+are and corrected by `openmm_exactrb.corrected`. With `--offset` the barostat is set to 1 bar and the offset that the runs at constant
 volume of the same point predict. Frames are kept in out/benchmarks/averages, so that a command that was stopped goes
 on; every seed is a run, and one row of the record.
 
     python benchmarks/water/averages.py --fs 2 4 8 --seeds 1 2
     python benchmarks/water/averages.py --fs 8 --ensemble NPT --offset
     python benchmarks/water/averages.py --models tip4p2005 --masses plain --schemes LangevinMiddle --fs 2 4
+    python benchmarks/water/averages.py --platform CUDA --molecules 8192 --frame 1 --fs 4 8
 """
 
 from __future__ import annotations
@@ -30,10 +31,10 @@ from benchmarks.common.records import DOCS, OUT, Record, Row
 from benchmarks.common.reported import reported
 from benchmarks.common.starts import REPEATED
 
-TEMPERATURE, FRICTION, MOLECULES, HEAVY = 298.15, 5.0, 216, 3.0
-FRAME, PART = 0.2, 20.0  # ps between two frames, and between two savings
+TEMPERATURE, FRICTION, HEAVY = 298.15, 5.0, 3.0
+PART = 100  # frames between two savings
 SMOOTH = {"nonbondedMethod": app.PME, "nonbondedCutoff": 0.85, "switchDistance": 0.75, "ewaldErrorTolerance": 1e-4}
-KEY = ("model", "masses", "scheme", "fs", "ensemble", "bar", "ps", "seed")
+KEY = ("model", "molecules", "masses", "scheme", "fs", "ensemble", "bar", "ps", "seed")
 UNITS = {
     "potential energy": "kJ/mol",
     "pressure": "bar",
@@ -41,16 +42,16 @@ UNITS = {
     "enthalpy": "kJ/mol",
     "compressibility": "10⁻⁶/bar",
 }
-SCALES = {"potential energy": 1.0 / MOLECULES, "enthalpy": 1.0 / MOLECULES, "compressibility": 1e6}
+OF_BOX = "potential energy", "enthalpy"
 NAMES, PARTS = tuple(UNITS), ("", " corrected", " error", " correction error")
 OFFSET, OFFSET_ERROR = "pressure offset", "pressure offset error"
 COLUMNS = [*(f"{name}{part}" for name in NAMES for part in PARTS), OFFSET, OFFSET_ERROR]
 RECORD = Record(DOCS / "averages.csv", KEY, COLUMNS)
 
 
-def simulation_of(run: dict[str, Any]) -> app.Simulation:
-    """Return the minimised start of a run."""
-    topology, system, positions = rb.rigid_water(MOLECULES, model=run["model"], **SMOOTH)
+def simulation_of(run: dict[str, Any], platform: str) -> app.Simulation:
+    """Return the minimised start of a run on a platform."""
+    topology, system, positions = rb.rigid_water(run["molecules"], model=run["model"], **SMOOTH)
     if run["masses"] == "heavy":
         rb.heavy_hydrogens(system, topology, HEAVY)
     if run["ensemble"] == "NPT":
@@ -59,7 +60,8 @@ def simulation_of(run: dict[str, Any]) -> app.Simulation:
         system.addForce(barostat)
     integrator = integrator_of(run["scheme"], 0.001 * run["fs"])
     integrator.setRandomNumberSeed(run["seed"])
-    simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("CPU"), REPEATED)
+    properties = REPEATED if platform == "CPU" else {"Precision": "mixed"}
+    simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform(platform), properties)
     simulation.context.setPositions(positions)
     simulation.minimizeEnergy(maxIterations=300)
     simulation.context.setVelocitiesToTemperature(TEMPERATURE, run["seed"])
@@ -78,22 +80,24 @@ def step_of(run: dict[str, Any]) -> float:
     return 0.001 * run["fs"] * {"W2_3m": 3, "W2_4g": 4, "S2_2": 2}.get(run["scheme"], 1)
 
 
-def frames(run: dict[str, Any]) -> Path:
-    """Make the frames of a run, from where an earlier command stopped."""
+def frames(run: dict[str, Any], platform: str, interval: float) -> Path:
+    """Make the frames of a run, one in an interval (ps), from where an earlier command stopped."""
     file = OUT / "averages" / ("_".join(str(run[name]) for name in KEY) + ".csv")
-    return reported(file, simulation_of(run), partial(rb.AverageReporter, pressure=True), FRAME, run["ps"], PART)
+    reporter = partial(rb.AverageReporter, pressure=True)
+    return reported(file, simulation_of(run, platform), reporter, interval, run["ps"], PART * interval)
 
 
-def row_of(run: dict[str, Any]) -> dict[str, Any]:
-    """Return the row of a run."""
-    file, row = frames(run), dict(run)
+def row_of(run: dict[str, Any], file: Path) -> dict[str, Any]:
+    """Return the row of a run with the frames in a file."""
+    row = dict(run)
     for name in NAMES:
         if (name in ("potential energy", "pressure")) != (run["ensemble"] == "NVT"):
             values: tuple[float, ...] = (np.nan,) * 4
         else:
             found = rb.corrected(file, name, pressure=1.0 if run["ensemble"] == "NPT" else None)
             values = found.mean - found.correction, found.mean, found.error, found.correction_error
-            values = tuple(SCALES.get(name, 1.0) * value for value in values)
+            scale = 1.0 / run["molecules"] if name in OF_BOX else 1e6 if name == "compressibility" else 1.0
+            values = tuple(scale * value for value in values)
         columns = (f"{name}{part}" for part in PARTS)
         row |= dict(zip(columns, (f"{value:.6g}" for value in values), strict=True))
     bar, error = (np.nan, np.nan) if run["ensemble"] == "NPT" else astuple(rb.pressure_offset(file))[:2]
@@ -104,17 +108,19 @@ def runs(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
     """Yield the runs of a command."""
     points = itertools.product(arguments.models, arguments.masses, arguments.schemes, arguments.fs, arguments.seeds)
     for model, masses, scheme, fs, seed in points:
-        run = {"model": model, "masses": masses, "scheme": scheme, "fs": fs, "ensemble": arguments.ensemble}
+        run = {"model": model, "molecules": arguments.molecules, "masses": masses, "scheme": scheme, "fs": fs}
+        run["ensemble"] = arguments.ensemble
         bar = 0.0 if arguments.ensemble == "NVT" else round(1.0 + (offset(run) if arguments.offset else 0.0), 1)
         yield run | {"bar": bar, "ps": arguments.ps, "seed": seed}
 
 
 def offset(run: dict[str, Any]) -> float:
-    """Return the mean offset (bar) of the runs at constant volume of a point."""
+    """Return the mean offset (bar), weighted by the errors, of the runs at constant volume of a point."""
     same = [row for row in RECORD.rows().values() if row["ensemble"] == "NVT" and _is_of(row, run)]
     if not same:
         raise SystemExit(f"run {run} with --ensemble NVT first, of which the offset follows")
-    return float(np.mean([float(row[OFFSET]) for row in same]))
+    offsets, errors = np.array([[float(row[name]) for name in (OFFSET, OFFSET_ERROR)] for row in same]).T
+    return float(np.average(offsets, weights=errors**-2.0))
 
 
 def _is_of(row: Row, run: dict[str, Any]) -> bool:
@@ -132,10 +138,13 @@ def main() -> None:
     parser.add_argument("--offset", action="store_true", help="set the barostat to 1 bar and the predicted offset")
     parser.add_argument("--ps", type=float, default=400.0, help="of a run; %(default)s")
     parser.add_argument("--seeds", nargs="+", type=int, default=[1], help="%(default)s")
+    parser.add_argument("--molecules", type=int, default=216, help="%(default)s")
+    parser.add_argument("--frame", type=float, default=0.2, help="ps between two frames; %(default)s")
+    parser.add_argument("--platform", default="CPU", help="%(default)s")
     arguments = parser.parse_args()
     for run in runs(arguments):
         if run not in RECORD:
-            RECORD.add(row_of(run))
+            RECORD.add(row_of(run, frames(run, arguments.platform, arguments.frame)))
 
 
 if __name__ == "__main__":

@@ -70,8 +70,8 @@ def averages() -> str:
     References are the means over all steps of corrected_water.py.
     """
     groups: dict[tuple[str, ...], list[Row]] = {}
-    for row in (row for row in rows("averages") if row["scheme"] == "W2_3m"):
-        groups.setdefault(tuple(row[name] for name in KEY[:-2] if name != "bar"), []).append(row)
+    for row in (row for row in rows("averages") if (row["scheme"], row["molecules"]) == ("W2_3m", "216")):
+        groups.setdefault(tuple(row[name] for name in KEY[:-2] if name not in ("bar", "molecules")), []).append(row)
     body = []
     for (model, masses, _, fs, ensemble), some in groups.items():
         held = "constant volume" if ensemble == "NVT" else "1 bar, with offset" if masses == "heavy" else "1 bar"

@@ -159,6 +159,7 @@ private:
     bool hasProgram() const {
         return cc != NULL && !program.empty();
     }
+    void show(Array& a);
     vector<char> present(const Array& a) const;
     void save(std::ostream& stream, bool all) const;
     void load(std::istream& stream);
@@ -299,8 +300,7 @@ void ProgramIntegrator::takeLoaded() {
         if (found == loaded.arrays.end() || found->second.size() != a.bytes())
             continue;
         a.data = found->second;
-        if (a.device)
-            a.device->upload(a.data.data());
+        show(a);
     }
     if (!program.empty())
         loaded = Loaded();
@@ -619,15 +619,20 @@ void ProgramIntegrator::restore() {
     placesStale = forcesStale = true;
 }
 
+// Give an array on the device the values that the host has.
+void ProgramIntegrator::show(Array& a) {
+    if (a.device) {
+        Current current(cc);
+        a.device->upload(a.data.data());
+    }
+}
+
 void ProgramIntegrator::upload(const string& name, const void* data, size_t bytes) {
     Array& a = arrays[indexOf(arrays, name, "array")];
     if (bytes != a.bytes())
         throw error("wrong size of " + name);
     memcpy(a.data.data(), data, bytes);
-    if (a.device) {
-        Current current(cc);
-        a.device->upload(a.data.data());
-    }
+    show(a);
 }
 
 void ProgramIntegrator::download(const string& name, void* data, size_t bytes) {

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from openmm_exactrb.engines.device.flexible.blocks import Blocks, Group
 
-#: The largest number of outer atoms of a star in private memory, and of atoms of a cluster with any other graph.
+#: The largest number of outer atoms of a star and of atoms of a cluster with any other graph.
 RAYS, LARGEST = 4, 32
 #: The largest number of orders of the multipliers, the relative size of terms at which a series ends, and the part of a
 #: drift that is not halved further; see `openmm_exactrb.kernels.compiled.clusters`.
-ORDERS, SETTLED, SHORTEST = 20, 1e-16, 0.5**12
+ORDERS, SETTLED, SHORTEST = 12, 1e-16, 0.5**12
 # Numbers of workspace per constraint of a cluster with any graph; see graph.cl.
 _VECTORS = 4 * ORDERS + 6 + 10
 
@@ -35,13 +35,7 @@ def arrays(blocks: Blocks) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         lengths.append(np.tile(group.lengths, count))
         ends.append(np.tile(group.pairs, (count, 1)))
         graphs, constraints, most = graphs + count, constraints + m * count, max(most, m)
-    sizes = [group.particles.shape[1] for group, _ in blocks.groups if is_star(group)]
-    constants: dict[str, Any] = {
-        "GRAPHS": graphs,
-        "MOST_CONSTRAINTS": most,
-        "ALL_ATOMS": n,
-        "STAR": max(sizes, default=1),
-    }
+    constants: dict[str, Any] = {"GRAPHS": graphs, "MOST_CONSTRAINTS": most, "ALL_ATOMS": n, "RAYS": RAYS}
     room = graphs * (most * (_VECTORS + most) + 3 * LARGEST)
     made = {
         "clusters": table.astype(np.int32),
@@ -50,19 +44,14 @@ def arrays(blocks: Blocks) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         "room": np.zeros(room),
     }
     constants |= {"ORDERS": ORDERS, "SETTLED": SETTLED, "SHORTEST": SHORTEST}
-    cases = (
-        f"case {size}: move_star_{size}(t, X, V, w, length); break;" for size in range(2, max(sizes, default=1) + 1)
-    )
-    return made, constants | {"MOVE_STARS": " ".join(cases)}
+    return made, constants
 
 
 def is_star(group: Group) -> bool:
-    """Return whether clusters are stars of at most `RAYS` + 1 atoms, which the kernel stores in private memory."""
+    """Return whether clusters are stars of at most `RAYS` + 1 atoms, each of which a team of threads moves."""
     return group.star and group.particles.shape[1] <= RAYS + 1
 
 
 def files(blocks: Blocks) -> tuple[str, ...]:
     """Return the names of the kernel files that contain the functions for moving these clusters."""
-    stars = max((group.particles.shape[1] for group, _ in blocks.groups if is_star(group)), default=1)
-    any_graph = not all(is_star(group) for group, _ in blocks.groups)
-    return ("star.cl", "constraints.cl") * (stars - 1) + ("graph.cl", "constraints.cl") * any_graph
+    return ("star.cl",) + ("graph.cl",) * (not all(is_star(group) for group, _ in blocks.groups))

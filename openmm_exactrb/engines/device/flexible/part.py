@@ -21,7 +21,7 @@ from openmm_exactrb.moves import Op
 from openmm_exactrb.support.types import Array, Indices
 
 #: Threads of a block of atoms.
-THREADS = 64
+THREADS = 256
 # Bits for the actions of a launch in addition to its moves, as in kernels/layout.cl.
 _MOVES, _PLACES, _PROJECTS, _SHOWS = 1, 2, 4, 8
 _CONTEXT = ("posq", "posqCorrection", "velm", "force", "places", "box")

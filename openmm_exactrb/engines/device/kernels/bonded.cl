@@ -5,20 +5,39 @@
 // Columns of a table stand behind each other: number k of term t is numbers[k*count+t]. Terms are found by their places
 // in the block, of which the first `own` are moved by it: others have the same term among their own.
 
-typedef struct { int first, last, count; } Terms; // of the block, and how many all blocks have
+typedef struct { int first, last, count; } Terms; // of a thread and its block, and how many all blocks have
 
 #define ATOM(k) terms_of[(k)*terms.count+t]
 #define NUMBER(k) numbers[(k)*terms.count+t]
-#define EACH_TERM for (int t = terms.first+LOCAL_ID; t < terms.last; t += LOCAL_SIZE)
+#define EACH_TERM for (int t = terms.first; t < terms.last; t += LOCAL_SIZE)
 #define IN_BLOCK LOCAL_ARG const double* xs, LOCAL_ARG mm_ulong* sums, LOCAL_ARG int* broken, int own, Terms terms, GLOBAL const int* terms_of, \
     GLOBAL const NUMERIC* numbers
 #define NUMERIC fine
+
+// The terms of a kind that a thread has. Threads go on where those of the kinds before end, so that all have some.
+DEVICE inline Terms terms_of_kind(GLOBAL const int* row, int kind, int count, int* before) {
+    const int first = row[FIRST_TERMS+2*kind], last = row[FIRST_TERMS+2*kind+1];
+    const Terms terms = {first+(int) (LOCAL_ID+LOCAL_SIZE-*before)%(int) LOCAL_SIZE, last, count};
+    *before = (*before+last-first)%(int) LOCAL_SIZE;
+    return terms;
+}
 
 #define DIFFERENCE(u, a, b) const NUMERIC u##0 = (NUMERIC) (xs[3*(a)]-xs[3*(b)]), u##1 = (NUMERIC) (xs[3*(a)+1]-xs[3*(b)+1]), \
     u##2 = (NUMERIC) (xs[3*(a)+2]-xs[3*(b)+2])
 #define DOT(u, v) (u##0*v##0+u##1*v##1+u##2*v##2)
 #define CROSS(w, u, v) const NUMERIC w##0 = u##1*v##2-u##2*v##1, w##1 = u##2*v##0-u##0*v##2, w##2 = u##0*v##1-u##1*v##0
 #define ADD(a, f, u) add((f)*u##0, (f)*u##1, (f)*u##2, a, sums, broken, own)
+
+// Add to a sum of 64 bits in local memory. CUDA has no instruction for that, but one for each half, with a carry.
+DEVICE inline void add_fixed(mm_long value, LOCAL_ARG mm_ulong* sum) {
+#ifdef __CUDA_ARCH__
+    unsigned int* words = (unsigned int*) sum;
+    const unsigned int low = (unsigned int) value, before = atomicAdd(words, low);
+    atomicAdd(words+1, (unsigned int) ((mm_ulong) value>>32)+(before+low < before ? 1u : 0u));
+#else
+    ATOMIC_ADD(sum, (mm_ulong) value);
+#endif
+}
 
 // Sums are in fixed point, as OpenMM's: their order does not matter. A force that has no place there breaks the block.
 DEVICE inline void add(fine f0, fine f1, fine f2, int a, LOCAL_ARG mm_ulong* sums, LOCAL_ARG int* broken, int own) {
@@ -28,9 +47,9 @@ DEVICE inline void add(fine f0, fine f1, fine f2, int a, LOCAL_ARG mm_ulong* sum
         *broken = 1;
         return;
     }
-    ATOMIC_ADD(&sums[3*a], (mm_ulong) ((mm_long) (f0*(fine) FIXED_POINT)));
-    ATOMIC_ADD(&sums[3*a+1], (mm_ulong) ((mm_long) (f1*(fine) FIXED_POINT)));
-    ATOMIC_ADD(&sums[3*a+2], (mm_ulong) ((mm_long) (f2*(fine) FIXED_POINT)));
+    add_fixed((mm_long) (f0*(fine) FIXED_POINT), sums+3*a);
+    add_fixed((mm_long) (f1*(fine) FIXED_POINT), sums+3*a+1);
+    add_fixed((mm_long) (f2*(fine) FIXED_POINT), sums+3*a+2);
 }
 
 // Numbers: length, its square less `fine` digits of it, strength.

@@ -10,7 +10,7 @@
 
 #define OF_MOVE(k, column) moves[MOVE_ROW*(k)+column]
 #define TAU(k) numbers[OF_MOVE(k, FIRST_NUMBER)]
-#define OF_KIND(kind, all) {row[FIRST_TERMS+2*kind], row[FIRST_TERMS+2*kind+1], all}
+#define OF_KIND(kind, all) terms_of_kind(row, kind, all, &before)
 #define OF_BLOCK xs, sums, &broken, own
 
 // Kick an atom and exchange its heat: the moves from `first` to `last`.
@@ -64,39 +64,6 @@ DEVICE inline void move_atom(int atom, int first, int last, GLOBAL const int* mo
         v[3*atom+e] = V[e];
 }
 
-// Let a cluster of a block move for a time t; its first atom has the place `at` in the block.
-DEVICE inline void move_cluster(GLOBAL const int* cluster, int at, double t, GLOBAL const double* inverse, GLOBAL const double* lengths,
-        GLOBAL const int* ends, GLOBAL double* room, LOCAL_ARG double* xs, GLOBAL double* v) {
-    const int first = cluster[FIRST_ATOM], atoms = cluster[ATOMS_OF_CLUSTER];
-#if GRAPHS > 0
-    if (cluster[GRAPH] >= 0) {
-        move_graph(t, cluster, at, inverse, lengths, ends, room, xs, v);
-        return;
-    }
-#endif
-    double X[STAR][3], V[STAR][3], w[STAR], length[STAR];
-    for (int i = 0; i < atoms; i++) {
-        w[i] = inverse[first+i];
-        length[i] = lengths[first+i];
-        for (int e = 0; e < 3; e++) {
-            X[i][e] = xs[3*(at+i)+e];
-            V[i][e] = v[3*(first+i)+e];
-        }
-    }
-    switch (atoms) {
-    case 1:
-        for (int e = 0; e < 3; e++)
-            X[0][e] += t*V[0][e];
-        break;
-    MOVE_STARS
-    }
-    for (int i = 0; i < atoms; i++)
-        for (int e = 0; e < 3; e++) {
-            xs[3*(at+i)+e] = X[i][e];
-            v[3*(first+i)+e] = V[i][e];
-        }
-}
-
 KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL mixed4* velm, GLOBAL const mm_long* force,
         GLOBAL const int4* places, GLOBAL const double* box, GLOBAL const double* x, GLOBAL double* y, GLOBAL double* v, GLOBAL double* memory,
         GLOBAL const int* atoms, GLOBAL const int* bodies, GLOBAL const double* inverse, GLOBAL const int* blocks, GLOBAL const int* block_atoms,
@@ -122,6 +89,7 @@ KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL
                 broken = 0;
             SYNC_THREADS
             if (kicks) {
+                int before = 0;
                 const Terms bonds = OF_KIND(0, BONDS), angles = OF_KIND(1, ANGLES), torsions = OF_KIND(2, TORSIONS), pairs = OF_KIND(3, PAIRS);
                 const Terms impropers = OF_KIND(4, IMPROPERS), maps = OF_KIND(5, MAPS);
                 add_bonds(OF_BLOCK, bonds, members+MEMBERS_OF_BONDS, constants+NUMBERS_OF_BONDS);
@@ -141,9 +109,16 @@ KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL
             // Behind the last drift velocities have to be along the constraints only where somebody wants to know them.
             if (stop < end || what & PROJECTS) {
                 const double t = stop < end ? TAU(stop) : 0.0;
-                for (int c = LOCAL_ID; c < row[CLUSTERS]; c += LOCAL_SIZE) {
+                for (int begin = 0; begin < row[CLUSTERS]; begin += LOCAL_SIZE/TEAM) {
+                    const int c = min(begin+(int) (LOCAL_ID/TEAM), row[CLUSTERS]-1);
+                    const bool idle = begin+(int) (LOCAL_ID/TEAM) > c;
                     GLOBAL const int* cluster = clusters+CLUSTER_ROW*(row[FIRST_CLUSTER]+c);
-                    move_cluster(cluster, cluster[FIRST_ATOM]-first_atom, t, inverse, lengths, ends, room, xs, v);
+                    const int at = cluster[FIRST_ATOM]-first_atom;
+                    move_star(idle, t, cluster, at, inverse, lengths, xs, v);
+#if GRAPHS > 0
+                    if (!idle && cluster[GRAPH] >= 0 && LOCAL_ID%TEAM == 0)
+                        move_graph(t, cluster, at, inverse, lengths, ends, room, xs, v);
+#endif
                 }
             }
             SYNC_THREADS

@@ -1,36 +1,242 @@
-// A star of SIZE atoms, the first of which is held to all others, in private memory. Each time that this is read it is
-// about stars of one more.
-#if !defined(SIZE)
-#define SIZE 2
-#elif SIZE == 2
-#undef SIZE
-#define SIZE 3
-#elif SIZE == 3
-#undef SIZE
-#define SIZE 4
+// Free motion of stars, whose first atom is held to all others, along the geodesics of their constraints: the series of
+// openmm_exactrb.kernels.compiled.clusters, where it is derived. A team of threads moves a star, with one constraint for
+// each thread and the outer atom of it, and with a copy of the first atom; on OpenCL, where threads of a team cannot
+// talk to each other without a barrier, a team is one thread. A single atom is a star without constraints.
+//
+// With r_c from the outer atom c to the first one, w_c its inverse mass and w that of the first atom, the matrix of the
+// constraints is D + w R R^T, where R has the rows r_c, and D_c = w_c r_c.r_c. Hence A x = b has the solution
+//
+//     x_c = (b_c - w r_c.g)/D_c,   g = sum_c x_c r_c = (1 + w K)^-1 sum_c r_c b_c/D_c,   K = sum_c r_c r_c^T/D_c,
+//
+// so that the threads of a team have nothing but sums to tell each other. They do so by shuffles, for which all threads
+// of a warp go the same way, until the last of its stars has arrived.
+
+#if defined(__OPENCL_VERSION__)
+#define TEAM 1
+#define ANY(yes) (yes)
+#elif defined(USE_HIP)
+#define TEAM RAYS
+#define ANY(yes) __any(yes)
+#define OF_OTHER(number, distance) __shfl_xor(number, distance)
 #else
-#undef SIZE
-#define SIZE 5
+#define TEAM RAYS
+#define ANY(yes) __any_sync(0xffffffff, yes)
+#define OF_OTHER(number, distance) __shfl_xor_sync(0xffffffff, number, distance)
 #endif
-#define PASTED(name, n) name##n
-#define NAMED(name, n) PASTED(name, n)
-#define MOVE NAMED(move_star_, SIZE)
-#define ARGUMENTS , double (*x)[3], double (*v)[3], const double* w, const double* length
-#define ATOMS SIZE
-#define CONSTRAINTS (SIZE-1)
-#define FIRST(c) 0
-#define SECOND(c) ((c)+1)
-#define LENGTH(c) length[(c)+1]
-#define INVERSE(i) w[i]
-#define X(i, e) x[i][e]
-#define V(i, e) v[i][e]
-#define WORKSPACE double r[ORDERS+2][SIZE-1][3], multiplier[ORDERS][SIZE-1], factor[SIZE-1][SIZE-1], b[SIZE-1]; \
-    double sum[SIZE-1][3], push[SIZE-1][3], shift[SIZE-1][3], on_atom[SIZE][3];
-#define R(k, c, e) r[k][c][e]
-#define MULTIPLIER(k, c) multiplier[k][c]
-#define FACTOR(c, d) factor[c][d]
-#define B(c) b[c]
-#define SUM(c, e) sum[c][e]
-#define PUSH(c, e) push[c][e]
-#define SHIFT(c, e) shift[c][e]
-#define ON_ATOM(i, e) on_atom[i][e]
+#define HELD (RAYS/TEAM) // constraints of a thread
+#define EACH_CONSTRAINT EACH(c, HELD)
+#define EACH_AXIS EACH(e, 3)
+// Written out where numbers can be in registers then.
+#if TEAM > 1
+#define EACH_ORDER EACH(k, ORDERS)
+#define EACH_BEFORE(j, n) EACH(j, n)
+#else
+#define EACH_ORDER for (int k = 0; k < ORDERS; k++)
+#define EACH_BEFORE(j, n) for (int j = 0; j < n; j++)
+#endif
+#define ALONG(u, v, c) ((u)[0][c]*(v)[0][c]+(u)[1][c]*(v)[1][c]+(u)[2][c]*(v)[2][c])
+#define ALONG_ALL(u, g, c) ((u)[0][c]*(g)[0]+(u)[1][c]*(g)[1]+(u)[2][c]*(g)[2])
+
+// Sums of each component over the constraints of a star, and the largest of numbers that are not negative.
+DEVICE inline void team_sum(const double (*of_constraint)[HELD], double* s, int components) {
+    for (int e = 0; e < components; e++) {
+        s[e] = 0.0;
+        EACH_CONSTRAINT
+            s[e] += of_constraint[e][c];
+#if TEAM > 1
+        EACH(other, 2)
+            s[e] += OF_OTHER(s[e], 1<<other);
+#endif
+    }
+}
+
+DEVICE inline double team_max(double x) {
+#if TEAM > 1
+    EACH(other, 2)
+        x = fmax(x, OF_OTHER(x, 1<<other));
+#endif
+    return x;
+}
+
+// The product with a symmetric matrix, and the inverse of 1 + w K.
+DEVICE inline void multiply(const double* K, const double* s, double* g) {
+    g[0] = K[0]*s[0]+K[1]*s[1]+K[2]*s[2];
+    g[1] = K[1]*s[0]+K[3]*s[1]+K[4]*s[2];
+    g[2] = K[2]*s[0]+K[4]*s[1]+K[5]*s[2];
+}
+
+DEVICE inline void invert(double w, const double* K, double* inverse) {
+    const double a = 1.0+w*K[0], b = w*K[1], c = w*K[2], d = 1.0+w*K[3], e = w*K[4], f = 1.0+w*K[5];
+    const double of_a = d*f-e*e, of_b = c*e-b*f, of_c = b*e-c*d, over = 1.0/(a*of_a+b*of_b+c*of_c);
+    inverse[0] = over*of_a;
+    inverse[1] = over*of_b;
+    inverse[2] = over*of_c;
+    inverse[3] = over*(a*f-c*c);
+    inverse[4] = over*(b*c-a*e);
+    inverse[5] = over*(a*d-b*b);
+}
+
+// Advance a cluster by t (ps) if it is a star; for t = 0 velocities lose their parts along the constraints, and that is
+// all. Its first atom has the place `at` in the block. A thread without a cluster (`idle`) comes along.
+DEVICE inline void move_star(bool idle, double t, GLOBAL const int* cluster, int at, GLOBAL const double* inverse_masses, GLOBAL const double* lengths,
+        LOCAL_ARG double* xs, GLOBAL double* v) {
+    const bool moves = !idle && cluster[GRAPH] < 0;
+    if (!ANY(moves))
+        return;
+    const int lane = HELD*(LOCAL_ID%TEAM), atoms = moves ? cluster[ATOMS_OF_CLUSTER] : 0, first = cluster[FIRST_ATOM];
+    const double w0 = moves ? inverse_masses[first] : 0.0;
+    double X0[3], V0[3], X[3][HELD], V[3][HELD], w[HELD], length[HELD], part = 1.0, remaining = moves ? 1.0 : 0.0;
+    bool holds[HELD];
+    EACH_AXIS {
+        X0[e] = xs[3*at+e];
+        V0[e] = v[3*first+e];
+    }
+    EACH_CONSTRAINT {
+        const int outer = lane+c+1;
+        holds[c] = outer < atoms;
+        w[c] = holds[c] ? inverse_masses[first+outer] : 0.0;
+        length[c] = holds[c] ? lengths[first+outer] : 0.0;
+        EACH_AXIS {
+            X[e][c] = holds[c] ? xs[3*(at+outer)+e] : X0[e];
+            V[e][c] = holds[c] ? v[3*(first+outer)+e] : V0[e];
+        }
+    }
+    while (ANY(remaining > 0.0)) {
+        double r[ORDERS+2][3][HELD], multiplier[ORDERS][HELD], over[HELD], b[HELD], away[HELD], told[6][HELD], K[6], inverse[6], s[6], g[3];
+        EACH_CONSTRAINT {
+            EACH_AXIS
+                r[0][e][c] = X0[e]-X[e][c];
+            const double square = ALONG(r[0], r[0], c);
+            over[c] = holds[c] ? 1.0/(w[c]*square) : 0.0;
+            away[c] = 0.5*(length[c]*length[c]-square);
+            told[0][c] = over[c]*r[0][0][c]*r[0][0][c];
+            told[1][c] = over[c]*r[0][0][c]*r[0][1][c];
+            told[2][c] = over[c]*r[0][0][c]*r[0][2][c];
+            told[3][c] = over[c]*r[0][1][c]*r[0][1][c];
+            told[4][c] = over[c]*r[0][1][c]*r[0][2][c];
+            told[5][c] = over[c]*r[0][2][c]*r[0][2][c];
+        }
+        team_sum(told, K, 6);
+        invert(w0, K, inverse);
+        EACH_CONSTRAINT {
+            b[c] = 0.0;
+            EACH_AXIS
+                b[c] -= r[0][e][c]*(V0[e]-V[e][c]);
+            EACH_AXIS {
+                told[e][c] = over[c]*b[c]*r[0][e][c];
+                told[3+e][c] = over[c]*away[c]*r[0][e][c];
+            }
+        }
+        team_sum(told, s, 6);
+        multiply(inverse, s, g);
+        if (remaining > 0.0) {
+            EACH_AXIS
+                V0[e] += w0*g[e];
+            EACH_CONSTRAINT {
+                b[c] = over[c]*(b[c]-w0*ALONG_ALL(r[0], g, c));
+                EACH_AXIS
+                    V[e][c] -= w[c]*b[c]*r[0][e][c];
+            }
+        }
+        if (t == 0.0)
+            break;
+
+        // Bring lengths back by what rounding has changed, then follow the series. Of the first atom, sums are those over
+        // all constraints.
+        const double time = part*t, over_time = 1.0/time;
+        double shift0[3], push0[3], shift[3][HELD], push[3][HELD], G[3], S[3][HELD], bound = 0.0;
+        multiply(inverse, s+3, shift0);
+        EACH_AXIS
+            push0[e] = 0.0;
+        EACH_CONSTRAINT {
+            const double back = over[c]*(away[c]-w0*ALONG_ALL(r[0], shift0, c));
+            EACH_AXIS {
+                shift[e][c] = back*r[0][e][c];
+                push[e][c] = 0.0;
+                r[1][e][c] = holds[c] ? time*(V0[e]-V[e][c]) : 0.0;
+                bound = fmax(bound, SETTLED*fabs(r[1][e][c]));
+            }
+        }
+        bound = team_max(bound);
+        int small = 0;
+        EACH_ORDER {
+            if (!ANY(remaining > 0.0 && small < 2))
+                break;
+            const double order = (k+1)*(k+2), over_order = 1.0/order, of_push = over_time*(1.0/(k+1));
+            EACH_CONSTRAINT {
+                double q = 0.0;
+                EACH_BEFORE(j, (k+1)/2)
+                    q += ALONG(r[j+1], r[k+1-j], c);
+                if (k%2 == 0)
+                    q += 0.5*ALONG(r[k/2+1], r[k/2+1], c);
+                EACH_AXIS {
+                    S[e][c] = 0.0;
+                    EACH_BEFORE(j, k)
+                        S[e][c] += multiplier[j][c]*r[k-j][e][c];
+                }
+                b[c] = -order*q-w[c]*ALONG(r[0], S, c);
+                EACH_AXIS {
+                    told[e][c] = holds[c] ? S[e][c] : 0.0;
+                    told[3+e][c] = over[c]*b[c]*r[0][e][c];
+                }
+            }
+            team_sum(told, s, 6);
+            multiply(K, s, G);
+            EACH_AXIS {
+                s[3+e] -= w0*G[e];
+                G[e] = s[e];
+            }
+            multiply(inverse, s+3, g);
+            double largest = 0.0;
+            EACH_CONSTRAINT {
+                multiplier[k][c] = over[c]*(b[c]-w0*(ALONG_ALL(r[0], G, c)+ALONG_ALL(r[0], g, c)));
+                EACH_AXIS {
+                    S[e][c] += multiplier[k][c]*r[0][e][c];
+                    r[k+2][e][c] = holds[c] ? (w0*(G[e]+g[e])+w[c]*S[e][c])*over_order : 0.0;
+                    largest = fmax(largest, (k+2)*fabs(r[k+2][e][c]));
+                    push[e][c] += S[e][c]*of_push;
+                    shift[e][c] += S[e][c]*over_order;
+                }
+            }
+            EACH_AXIS {
+                push0[e] += (G[e]+g[e])*of_push;
+                shift0[e] += (G[e]+g[e])*over_order;
+            }
+            small = team_max(largest) <= bound ? small+1 : small < 2 ? 0 : small;
+        }
+        if (remaining > 0.0 && small >= 2) {
+            EACH_AXIS {
+                X0[e] += time*V0[e]+w0*shift0[e];
+                V0[e] += w0*push0[e];
+                EACH_CONSTRAINT {
+                    X[e][c] += time*V[e][c]-w[c]*shift[e][c];
+                    V[e][c] -= w[c]*push[e][c];
+                }
+            }
+            remaining -= part;
+        }
+        else if (part > SHORTEST)
+            part *= 0.5;
+        else if (remaining > 0.0) { // the divergence check sees it
+            EACH_AXIS {
+                X0[e] = V0[e] = NOT_A_NUMBER;
+                EACH_CONSTRAINT
+                    X[e][c] = V[e][c] = NOT_A_NUMBER;
+            }
+            remaining = 0.0;
+        }
+    }
+    EACH_AXIS {
+        if (moves && lane == 0) {
+            xs[3*at+e] = X0[e];
+            v[3*first+e] = V0[e];
+        }
+        EACH_CONSTRAINT
+            if (holds[c]) {
+                xs[3*(at+lane+c+1)+e] = X[e][c];
+                v[3*(first+lane+c+1)+e] = V[e][c];
+            }
+    }
+}
+
+#undef EACH_CONSTRAINT
