@@ -67,7 +67,8 @@ def all_tables() -> dict[str, str]:
         *(of_water.averages, corrected_steps, corrected_water, corrected_water_agreement, droplet_averages, tip4p2005),
         *(of_schemes.rotors_compared, of_dipoles.dipole_costs),
         *(of_dipoles.dipole_errors, of_dipoles.dipole_energies, of_dipoles.stockmayer_constants),
-        *(of_dipoles.ferrofluid_constants, of_dipoles.dipole_droplets, of_device.device_costs),
+        *(of_dipoles.ferrofluid_constants, of_dipoles.dipole_droplets),
+        *(of_device.device_costs, of_device.device_proteins),
     )
     shown = {name: _as_it_is(name) for name in AS_THEY_ARE}
     return shown | {function.__name__: function() for function in functions} | dict(_equipartition())

@@ -1,4 +1,4 @@
-"""Tables of on_gpu.py: what a force evaluation costs on a device."""
+"""Tables of on_gpu.py: what a force evaluation costs on a GPU, and how far proteins get in a day."""
 
 from __future__ import annotations
 
@@ -8,21 +8,46 @@ _NAMES = {
     "water": "{} TIP3P",
     "free": "{} TIP3P without forces",
     "dipoles": "{} dipoles",
-    "peptide": "peptide in water",
+    "peptide": "alanine dipeptide in water",
     "villin": "villin in water",
     "5dfr_solv-cube_equil": "DHFR in water",
-    "membrane": "POPC in water",
+    "membrane": "128 POPC in water",
 }
-_SCHEMES = ("S2_2", "W2_1", "S6_10", "BAOA", "W2_3m")
+_SCHEMES = ("S2_2", "W2_1", "S6_10", "BAOA")
+_PROTEINS = ("peptide", "villin", "5dfr_solv-cube_equil", "membrane")
+_OF_PROTEINS = {"LangevinMiddle": 4, "BAOA device": 4, "W2_3m device": 8}  # fs between two evaluations
+
+
+def _by_system() -> dict[tuple[str, str], dict[str, dict[str, str]]]:
+    found: dict[tuple[str, str], dict[str, dict[str, str]]] = {}
+    for row in rows("device_costs"):
+        found.setdefault((row["system"], row["molecules"]), {})[row["integrator"]] = row
+    return found
 
 
 def device_costs() -> str:
-    """Return times of a force evaluation, of rigid bodies to Verlet's and with a thermostat to LangevinMiddle's."""
-    ratios: dict[str, dict[str, str]] = {}
-    for row in rows("device_costs"):
-        scheme, _, engine = row["integrator"].partition(" ")
-        if engine == "device":
-            name = _NAMES[row["system"]].format(row["molecules"])
-            ratios.setdefault(name, {})[scheme] = f"{float(row['ratio']):.2f}"
-    body = [(name, *(found.get(scheme, "") for scheme in _SCHEMES)) for name, found in ratios.items()]
-    return table(("system", *(f"`{scheme}`" for scheme in _SCHEMES)), body)
+    """Return times of a force evaluation of rigid bodies, to Verlet's and with a thermostat to LangevinMiddle's."""
+    body = [
+        (
+            _NAMES[system].format(molecules),
+            f"{float(found['Verlet']['ms']):.3f}",
+            *(f"{float(found[f'{scheme} device']['ratio']):.2f}" for scheme in _SCHEMES),
+        )
+        for (system, molecules), found in _by_system().items()
+        if system not in _PROTEINS
+    ]
+    return table(("system", "Verlet, ms", *(f"`{scheme}`" for scheme in _SCHEMES)), body)
+
+
+def device_proteins() -> str:
+    """Return times of a force evaluation and ns a day of proteins, and the gain at 8 fs over LangevinMiddle at 4 fs."""
+    body = []
+    for (system, molecules), found in _by_system().items():
+        if system not in _PROTEINS:
+            continue
+        some = [found[name] for name in _OF_PROTEINS]
+        theirs, ours = (float(found[name]["ns/day"]) for name in ("LangevinMiddle", "W2_3m device"))
+        cells = (f"{float(row['ms']):.3f}, {float(row['ns/day']):.0f}" for row in some)
+        body.append((_NAMES[system].format(molecules), *cells, f"{ours / theirs:.2f}"))
+    names = (f"`{name.removesuffix(' device')}`, {fs} fs" for name, fs in _OF_PROTEINS.items())
+    return table(("ms per evaluation, ns per day", *names, "throughput of `W2_3m`"), body)

@@ -38,6 +38,8 @@ _COMPILERS = ("c++", "g++", "clang++")
 #: The environment variable that names the folder for compiled libraries; by default it is in the user's cache.
 CACHE = "EXACTRB_CACHE"
 _FLAGS = ("-std=c++17", "-O2", "-fPIC", "-shared", "-fvisibility=hidden")
+# Some compilers link a static C++ library; its symbols must not be mixed with those of the C++ library of OpenMM.
+_LINKER_FLAGS = {"Linux": ("-Wl,--exclude-libs,ALL",)}
 _SYSTEMS = ("Linux", "Darwin")
 
 
@@ -254,7 +256,8 @@ def build(path: Path, command: str | None = None) -> None:
     try:
         version = f'-DBUILT_FOR="{openmm.__version__}"'
         link = (f"-I{folder / 'include'}", str(SOURCE), "-o", temporary, f"-L{folder / 'lib'}", "-lOpenMM", "-ldl")
-        done = subprocess.run([command, version, *_FLAGS, *link], capture_output=True, text=True, check=False)
+        flags = (*_FLAGS, *_LINKER_FLAGS.get(platform.system(), ()))
+        done = subprocess.run([command, version, *flags, *link], capture_output=True, text=True, check=False)
         if done.returncode:
             errors = [line for line in done.stderr.splitlines() if "error" in line] or done.stderr.splitlines()
             raise MissingLibraryError(

@@ -1,14 +1,20 @@
 """The library of the device engine: where it is found, who may write there, and what is said where it is missing."""
 
 import ctypes
+import os
 import stat
+import subprocess
+import sys
+from pathlib import Path
 
 import openmm
 import pytest
 
+from on_device import device_platform
 from openmm_exactrb.engines.device import library as module
 from openmm_exactrb.engines.device.library import Device, MissingLibraryError, library
 
+ROOT = Path(__file__).parents[3]
 needs_compiler = pytest.mark.skipif(module.shutil.which("c++") is None, reason="needs a C++ compiler")
 
 
@@ -78,6 +84,34 @@ def test_without_a_program_it_is_a_custom_integrator():
     context.setPositions([[0.0, 0.0, 0.0]])
     integrator.step(2)
     assert context.getState(positions=True).getPositions()[0][1]._value == 2.0
+
+
+STEPS = """
+import openmm
+import openmm_exactrb as rb
+from on_device import device_platform
+_, system, positions = rb.rigid_water(8)
+integrator = rb.ExactRigidBodyIntegrator(0.002, "S2_2", engine="device")
+context = openmm.Context(system, integrator, device_platform())
+context.setPositions(positions)
+integrator.step(2)
+print(integrator.getEngine())
+"""
+
+
+@pytest.mark.opencl
+@pytest.mark.skipif(sys.platform != "linux", reason="a static C++ library is usual nowhere else")
+def test_a_compiler_with_a_static_c_library_makes_a_library_that_runs(cache, tmp_path):
+    device_platform()
+    compiler = tmp_path / "static"
+    compiler.write_text('#!/bin/sh\nexec c++ -static-libstdc++ "$@"\n')
+    compiler.chmod(0o700)
+    paths = os.pathsep.join([str(ROOT), str(ROOT / "tests" / "common")])
+    environment = os.environ | {module.COMPILER: str(compiler), module.CACHE: str(cache), "PYTHONPATH": paths}
+    done = subprocess.run(
+        [sys.executable, "-c", STEPS], env=environment, capture_output=True, text=True, check=False, timeout=120
+    )
+    assert done.stdout.endswith("device\n"), done.stderr  # OpenMM warns about PoCL before
 
 
 @needs_compiler

@@ -14,7 +14,7 @@ from openmm_exactrb.support.types import Array, Indices
 #: number for each atom.
 COST_OF_ATOM = 8
 #: Molecules of at most the second cost are not divided; larger ones are divided into blocks of about the first cost.
-COST_OF_BLOCK, COST_OF_MOLECULE = 1200, 3200
+COST_OF_BLOCK, COST_OF_MOLECULE = 1200, 6400
 
 
 class Group(NamedTuple):

@@ -1,0 +1,54 @@
+"""What the pages say about speed on a GPU is in the record."""
+
+import pytest
+
+from benchmarks.common.records import DOCS, ROOT, read
+
+PAGES = {
+    "README": ROOT / "README.md",
+    "should I": DOCS / "should-i-use-this.md",
+    "protein": DOCS / "tutorials/protein-8fs.md",
+    "joss": DOCS / "joss.md",
+    "changes": ROOT / "CHANGELOG.md",
+}
+ROWS = {(row["system"], row["molecules"], row["integrator"]): row for row in read(DOCS / "device_costs.csv")}
+
+
+def text(page):
+    return " ".join(PAGES[page].read_text(encoding="utf-8").split())
+
+
+def throughput(system):
+    """Return the simulated time per day with W2_3m at 8 fs, over that with LangevinMiddleIntegrator at 4 fs."""
+    ours, theirs = (ROWS[system, "", name]["ns/day"] for name in ("W2_3m device", "LangevinMiddle"))
+    return float(ours) / float(theirs)
+
+
+@pytest.mark.parametrize("page", ["README", "should I"])
+def test_a_force_evaluation_of_water_takes_as_long_as_with_verlet(page):
+    waters = [key[1] for key in ROWS if key[0] == "water" and key[2] == "Verlet"]
+    assert waters == ["512", "4096", "32768"]
+    ratios = [float(ROWS["water", n, f"{scheme} device"]["ratio"]) for n in waters for scheme in ("S2_2", "W2_1")]
+    assert f"{min(ratios):.2f} to {max(ratios):.2f}" in text(page)
+
+
+def test_the_throughput_of_proteins_is_that_of_the_record():
+    peptide, villin, dhfr, membrane = map(throughput, ("peptide", "villin", "5dfr_solv-cube_equil", "membrane"))
+    assert f"DHFR reaches {dhfr:.1f} times the throughput" in text("README")
+    assert f"villin {villin:.1f} times, a membrane {membrane:.1f} times" in text("README")
+    assert f"{peptide:.2f} times as many nanoseconds per day" in text("protein")
+    assert f"{villin:.2f} times for villin and {dhfr:.2f} times for DHFR" in text("protein")
+    assert f"villin at 8 fs has {villin:.1f} times the throughput" in text("joss")
+    assert f"DHFR at 8 fs reaches {dhfr:.1f} times the throughput" in text("changes")
+
+
+def test_the_throughput_of_dhfr_is_in_nanoseconds_per_day():
+    ours, theirs = (
+        float(ROWS["5dfr_solv-cube_equil", "", name]["ns/day"]) for name in ("W2_3m device", "LangevinMiddle")
+    )
+    assert f"{ours:.0f} ns per day; `LangevinMiddleIntegrator` at 4 fs: {theirs:.0f} ns per day" in text("should I")
+
+
+def test_all_was_measured_on_the_card_that_the_pages_name():
+    assert {row["device"] for row in ROWS.values()} == {"NVIDIA H200"}
+    assert all("NVIDIA H200" in text(page) for page in PAGES)
