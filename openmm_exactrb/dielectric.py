@@ -33,8 +33,8 @@ def dielectric_constant(
 
     The formula holds for every dipole interaction that gives a uniform polarisation the reaction field of these
     surroundings (Neumann, Mol. Phys. 50, 841 (1983)). In conducting surroundings (an Ewald sum, or a reaction field
-    with infinite dielectric constant) it reduces to eps = 1 + 3 x; without a reaction field it is the Clausius-Mossotti
-    formula.
+    with infinite dielectric constant) the formula reduces to eps = 1 + 3 x. Without a reaction field, it is the
+    Clausius-Mossotti formula.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def dielectric_constant(
     means = np.array([np.mean(block**2, axis=0) for block in np.array_split(M, blocks)])
     scale = 4.0 * np.pi / (9.0 * volume * kT)
     x = scale * float(np.sum(np.mean(M**2, axis=0)))
-    # Of the sum of three components, each of which is a mean over the blocks.
+    # Standard error of the sum of three components, each a mean over the blocks.
     spread = scale * 3.0 * float(np.std(means, ddof=1)) / means.size**0.5
     left = 1.0 + (Q - 1.0) * x
     if left <= 0.0:

@@ -36,9 +36,9 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
 
     Rigid bodies are the clusters of particles that constraints of the System hold rigid. Particles without constraints,
     and clusters that constraints do not make rigid, are integrated as well. After every call of step(n), the Context
-    contains the new positions, velocities, time and step count; changes made to the Context between calls are taken
-    into account. A scheme that begins and ends with a kick evaluates the forces again at the start of each call; within
-    a call no force is evaluated twice.
+    contains the new positions, velocities, time and step count. Changes made to the Context between calls are taken
+    into account. A scheme that begins and ends with a kick evaluates the forces again at the start of each call. Within
+    a call, no force is evaluated twice.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         A key of `openmm_exactrb.ROTORS`, or an `openmm_exactrb.rotors.Rotor` of your own.
     bodies : sequence of sequences of int, optional
         Particles of rigid bodies, in addition to the bodies that constraints define. Their shapes are those of the
-        positions at the first step; forces within these bodies only add a constant to the energy.
+        positions at the first step. Forces within these bodies only add a constant to the energy.
     fast : {"auto", "bonded"} or sequence of int, optional
         Forces that are integrated with inner steps within the drifts of the scheme: "bonded" means bonds, angles,
         torsions and pairs three bonds apart; a sequence contains numbers of force groups. The number of evaluations of
@@ -72,7 +72,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         A thermostat of `openmm_exactrb.thermostats` or your own; the scheme may then also be a key of
         `openmm_exactrb.schemes.WITH_THERMOSTAT`. None means constant energy.
     forceInterval : float or Quantity, optional
-        Mean time between two force evaluations, in ps if it has no unit, instead of ``stepSize``: a step is this
+        Mean time between two force evaluations, in ps if it has no unit, instead of ``stepSize``. A step is this
         interval times `forceEvaluationsPerStep`, so that schemes with equal intervals cost about the same.
     checkDivergence : bool, optional
         Whether to raise an error if the total energy jumps. Pass False if your own forces or substeps do work, as in
@@ -106,7 +106,9 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     ) -> None:
         check_first_arguments(stepSize, scheme)
         if thermostat is not None and not isinstance(thermostat, Thermostat):
-            raise ValueError(f"thermostat= takes one of openmm_exactrb.thermostats, not a {type(thermostat).__name__}")
+            raise ValueError(
+                f"thermostat= takes a thermostat of openmm_exactrb.thermostats, not a {type(thermostat).__name__}"
+            )
         self._fast = MultipleTimeSteps.of(fast, inner, innerSteps)
         self._thermostat = thermostat
         if scheme is None:
@@ -259,9 +261,8 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         Raises
         ------
         ValueError
-            If the number of steps is negative or not whole, there is no Context yet, nothing in the System can move, a
-            barostat would tear bodies, or positions are not finite or do not fit the rigid bodies. The state is
-            unchanged in these cases.
+            If the number of steps is negative or not whole, there is no Context yet, nothing can move, a barostat would
+            tear bodies, or positions are not finite or do not fit the bodies. The state is unchanged in these cases.
         RuntimeError
             If this integrator is already performing a step in another thread.
         IntegrationError
@@ -302,7 +303,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         """Return the step size in ps, from the step size or from the interval between force evaluations."""
         if (size is None) == (interval is None):
             raise ValueError(
-                "give either stepSize=, the time of a whole step, or forceInterval=, that between two force evaluations"
+                "give either stepSize=, the time of a step, or forceInterval=, the time between two force evaluations"
             )
         if interval is None:
             return picoseconds(size)

@@ -27,7 +27,7 @@ class Op(IntEnum):
     DISPLACE = 5  # displacement of particles, not of bodies, by the present forces; the number is e
     DISPLACED_KICK = 6  # change of momenta by the forces on displaced particles; the numbers are tau and e
     FAST_KICK = 7  # change of momenta of bodies with inner steps by the present fast forces
-    OWN = 16  # the first of the users' moves
+    OWN = 16  # the first user-defined move
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from openmm_exactrb.support.types import Array
 _NEUTRAL = 1e-3
 _COLUMNS = ("translational (kJ/mol)", "rotational (kJ/mol)", "translational (K)", "rotational (K)")
 _SUMS = ("kinetic (kJ/mol)", "potential (kJ/mol)", "total (kJ/mol)")
-# Significant digits of a time in ps; more digits would show the roundoff of adding up steps.
+# Significant digits of a time in ps; more digits would show the roundoff of summed steps.
 _DIGITS = 12
 
 
@@ -112,8 +112,8 @@ class EnergyReporter(_Lines):
 class MomentReporter(_Lines):
     """Write the total dipole moment as CSV, with all digits of float64.
 
-    The moment is the sum of charge times position over all particles. In a periodic box, molecules are made whole along
-    constraints and bonds first. For soft dipoles, assign the charge strength/length to the tip of each arrow and
+    The moment is the sum of charge times position over all particles. In a periodic box, molecules are first made whole
+    along constraints and bonds. For soft dipoles, assign the charge strength/length to the tip of each arrow and
     -strength/length to its centre, as in the example `dielectric_constant.py`.
 
     Parameters
@@ -122,7 +122,7 @@ class MomentReporter(_Lines):
     reportInterval : int
         Number of steps between two lines.
     charges : (n_particles,) array_like or Quantity
-        Quantities are converted to elementary charges, so that the moment is in e nm; plain numbers are used unchanged.
+        Quantities are converted to elementary charges, so that the moment is in e nm. Plain numbers are used unchanged.
         The charges of every molecule must add up to zero to within 0.001.
     append : bool, optional
         As in `EnergyReporter`.

@@ -24,7 +24,7 @@ def loadState(target: app.Simulation | openmm.Context, source: str | os.PathLike
     target : openmm.app.Simulation or openmm.Context
     source : str, path or openmm.State
         A file that ``simulation.saveState`` wrote, or a State. Its positions, velocities, box, time and step count are
-        loaded, and so are those parameters that the target has too.
+        loaded, and so are parameters that the target also has.
 
     Raises
     ------

@@ -148,12 +148,13 @@ class GradientKick(Substep):
     evaluated at R + d, q exp(e I^-1 N), where d = e F/M and e = strength tau². The torque refers to R and to the axes
     of q: it exceeds the torque about the displaced centre by d x F, and is rotated from the displaced axes. Both
     corrections are of second order in e, except for the commutator of the axes, e (I^-1 N) x N. The kick is
-    time-reversible and, up to these orders, symplectic. It conserves the linear momentum, and also the angular momentum
-    if all particles belong to bodies that rotate about three axes; for single particles and linear bodies, which cannot
-    absorb such torques, the angular momentum is conserved up to these orders only. For single particles, this is the
-    Hessian-free kick of K. Schäfers, J. Finkenrath, M. Günther and F. Knechtli, Comput. Phys. Commun. 309, 109478
-    (2025). Constrained atoms are displaced along the geodesic of F, and the force at the displaced positions is
-    projected onto the constraints; to first order in e, this gives the covariant derivative of F along itself.
+    time-reversible and, up to these orders, symplectic. The kick conserves the linear momentum, and also the angular
+    momentum if all particles belong to bodies that rotate about three axes. For single particles and linear bodies,
+    which cannot absorb such torques, the angular momentum is conserved only up to these orders. For single particles,
+    this is the Hessian-free kick of K. Schäfers, J. Finkenrath, M. Günther and F. Knechtli, Comput. Phys. Commun. 309,
+    109478 (2025). Constrained atoms are displaced along the geodesic of F, and the force at the displaced positions is
+    projected onto the constraints. To first order in e, the projected force gives the covariant derivative of F along
+    itself.
 
     Parameters
     ----------

@@ -68,13 +68,13 @@ class Thermostat(ABC):
     def relaxation(self) -> float | None:
         """The time in ps in which the thermostat removes heat, or None.
 
-        If the temperature of a run stays too high for longer than this time, its step is too long.
+        If the temperature of a run stays too high for longer than this time, the step is too long.
         """
         return None
 
     @property
     def own_numbers(self) -> tuple[str, ...]:
-        """Names of persistent variables of this thermostat alone; no other one can read checkpoints with them."""
+        """Names of variables of this thermostat alone; no other thermostat can read checkpoints with them."""
         return ()
 
     @abstractmethod

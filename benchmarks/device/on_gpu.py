@@ -2,7 +2,7 @@
 
 In a checkout, with a C++ compiler for the library of the device engine:
 
-    pip install -e ".[test]" "openmm-cuda-12>=8.6,<8.7" openmmtools     (or openmm-hip-6)
+    pip install -e ".[test]" "openmm-cuda-12>=8.6,<8.7" openmmtools     (or openmm-cuda-13, openmm-hip-6)
     python benchmarks/device/on_gpu.py --platform CUDA --minutes 9
 
 First tests of the device run on the platform. Then each system is measured, in rounds in which the integrators take
@@ -49,7 +49,7 @@ CLOCKS = {"wall": time.perf_counter, "cpu": time.process_time}
 OPENMM_DATA = Path(app.__file__).parent / "data"
 CHARMM = "charmm36.xml", "charmm36/water.xml"
 # What is tested first: schemes, bodies, noise and flexible molecules are those of the host.
-TESTED = "moves_water or every_kind or noise_of_the_host or single_precision or peptide"
+TESTED = "moves_water or every_kind or noise_of_the_host or single_precision or peptide or checkpoint"
 
 
 @dataclass

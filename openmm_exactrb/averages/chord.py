@@ -6,9 +6,9 @@ the conserved quantity next to the exchange has the additional term
 
     h² T,        T = a·M a/24,
 
-where a is the acceleration of the free motion with these constraints. The noise along the gradients, half of which
-enters the velocities, changes no average to second order. Let r_c be the vector between the two ends of constraint c,
-u_c its rate of change, and E the matrix that takes the differences between ends. Then
+where a is the acceleration of the free motion with these constraints. Half of the noise along the gradients enters the
+velocities, but changes no average to second order. Let r_c be the vector between the two ends of constraint c, u_c its
+rate of change, and E the matrix that takes the differences between ends. Then
 
     a·M a = q·Z⁻¹q,        q_c = |u_c|²,        Z_cd = L_cd r_c·r_d,        L = E M⁻¹Eᵀ.
 """
@@ -23,7 +23,7 @@ import numpy as np
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.support.types import Array, Indices
 
-# Constraints that are less independent of the others of a cluster than this are considered to follow from them. It is
+# Constraints whose independence of the others in a cluster is below this number are treated as redundant. The number is
 # the square of a slope, such as that of a flat pyramid, and must be far above h²ω² of a rotation with angular velocity
 # ω.
 _INDEPENDENT = 1e-4
@@ -52,7 +52,7 @@ class Chords:
     Raises
     ------
     ValueError
-        If the constraints of a rigid body do not hold it to first order, or a cluster has too many constraints.
+        If the constraints of a rigid body do not hold it rigid to first order, or a cluster has too many constraints.
     """
 
     def __init__(self, bodies: RigidBodies, pairs: Indices, x: Array) -> None:

@@ -5,21 +5,21 @@ f·M⁻¹f_s. The error that a splitting with steps h causes in the average of a
 
     h² {-(alpha + beta) Cov(A, S)/kT - kappa <grad A · M⁻¹f_s> + J},
 
-where kappa = alpha + y²/2 - c (`openmm_exactrb.schemes.second_order`) and J depends on the friction. In the limits of
-friction far slower than the exchange of energy between motions, and far faster than all motions, respectively,
+where kappa = alpha + y²/2 - c (`openmm_exactrb.schemes.second_order`) and J depends on the friction. For friction far
+slower than the exchange of energy between motions and far faster than all motions, respectively,
 
     J = 2 alpha <W> Cov(A, U)/(n kT²),        J = -2 alpha <grad A · M⁻¹f_s> - alpha Cov(A, W)/kT,
 
-with n degrees of freedom. The second limit is exact only without inner steps; for harmonic motions that exchange no
-energy, it holds at any friction. A correction uses the mean of these limits. Drifts along chords also conserve h² T
-(`openmm_exactrb.averages.chord`), which adds
+with n degrees of freedom. The second limit is exact only without inner steps. For harmonic motions that exchange no
+energy, the second limit holds at any friction. A correction uses the mean of these limits. Drifts along chords also
+conserve h² T (`openmm_exactrb.averages.chord`), which adds
 
     -Cov(A, T)/kT + 4 <T> Cov(A, U)/(n kT²)
 
 to the average at weak friction, and to the energy of a harmonic liquid at any friction. A barostat accepts volumes by
-the true energy. The error dP of the pressure at a fixed volume, with the kappa of the place in a step where the
-barostat acts, therefore changes any average by Cov(A, V) dP/kT, whereas all other terms contain the fluctuations of A,
-S and W at a fixed volume, because the volume changes slowly.
+the true energy. The error dP of the pressure at a fixed volume therefore changes any average by Cov(A, V) dP/kT. Here
+kappa in dP is that of the point in a step at which the barostat acts. All other terms contain the fluctuations of A, S
+and W at a fixed volume, because the volume changes slowly.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class Average:
 
 @dataclass(frozen=True)
 class PressureOffset:
-    """The step-size error of the pressure where a barostat acts, which is added to the pressure of the barostat.
+    """The step-size error of the pressure where a barostat acts in a step, to be added to the pressure of the barostat.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class PressureOffset:
     bracket : (float, float)
         The offsets for weak and for strong friction, in bar.
     scheme, step, temperature : str, float (ps), float (K)
-        The settings for which the offset is valid; it also depends on the force field and the density.
+        The settings for which the offset is valid. The offset also depends on the force field and the density.
     """
 
     bar: float
@@ -94,7 +94,7 @@ class PressureOffset:
     temperature: float
 
     def barostat(self, pressure: float | unit.Quantity, frequency: int = 25) -> openmm.MonteCarloBarostat:
-        """Return a barostat that gives the density of a pressure (in bar if it has no unit) at zero step size."""
+        """Return a barostat that samples the density of zero step size at a pressure, in bar if it has no unit."""
         wanted = plain(pressure, unit.bar, "a pressure")
         return openmm.MonteCarloBarostat((wanted + self.bar) * unit.bar, self.temperature * unit.kelvin, frequency)
 
@@ -129,9 +129,9 @@ def corrected(
     local : bool, optional
         Whether to use the curvature of the potential near the particles given as ``around`` to the reporter.
     pressure : float or Quantity, optional
-        Pressure to which the average is corrected, in bar if it has no unit; it must be close to the pressure of the
-        barostat, which is the default. After a run with the barostat of a `PressureOffset`, pass the pressure without
-        the offset.
+        Pressure to which the average is corrected, in bar if it has no unit. The default is the pressure of the
+        barostat; other values must be close to this pressure. After a run with the barostat of a `PressureOffset`, pass
+        the pressure without the offset.
 
     Returns
     -------
@@ -147,12 +147,13 @@ def corrected(
     if pressure is not None:
         if not settings.barostat:
             raise ValueError(
-                f"{file} is from a run at constant volume, which has no pressure to correct to: omit pressure="
+                f"{file} is from a run at constant volume, whose averages cannot be corrected to a pressure: omit "
+                "pressure="
             )
         wanted = plain(pressure, unit.bar, "a pressure")
         settings, excess = replace(settings, pressure=wanted), settings.pressure - wanted
     if settings.barostat and "pressure" not in columns:
-        raise ValueError("corrections at constant pressure need the pressure: set pressure=True in the AverageReporter")
+        raise ValueError(f"{file} has no pressure: create the AverageReporter with pressure=True")
     if local and "square around" not in columns:
         raise ValueError(
             f"{file} has no curvature around particles: create the AverageReporter with around=(particles, distance)"
@@ -169,13 +170,14 @@ def corrected(
 def pressure_offset(file: str | os.PathLike[str]) -> PressureOffset:
     """Return the step-size error of the pressure where a barostat acts, from a run at constant volume.
 
-    It differs from that of ``corrected(file, "pressure")`` if a barostat acts elsewhere in the step than at its end:
-    with W2_3m at the next kick.
+    This error differs from that of ``corrected(file, "pressure")`` if a barostat does not act at the end of the step.
+    With W2_3m it acts at the next kick.
 
     Parameters
     ----------
     file : str or path
-        File of an `AverageReporter` with ``pressure=True``; 200 ps of 216 molecules of water give an error of 16 bar.
+        File of an `AverageReporter` with ``pressure=True``. For example, 200 ps of 216 water molecules give an `error`
+        of 16 bar.
 
     Raises
     ------
@@ -202,7 +204,7 @@ Columns = dict[str, Array]
 _Result = tuple[float, float, float]
 
 
-#: A value, and an observable whose average changes in the same way.
+#: A value, and an observable whose average has the same step-size error.
 _Estimate = tuple[float, _Observable]
 
 

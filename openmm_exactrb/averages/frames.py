@@ -53,14 +53,14 @@ class Frames:
         self._kT = gas_constant_times(dynamics.temperature)
         self._excerpt = None if dynamics.fast is None else _FastContext(dynamics.fast)
         self._around = around
-        #: Bodies with inner steps (N,), which end their steps at the heat exchange itself.
+        #: A mask (N,) of the bodies with inner steps, whose steps end at the heat exchange.
         self._inner = np.zeros(len(self.bodies), dtype=bool)
         if dynamics.fast is not None and dynamics.fast.excerpt is not None:
             self._inner[dynamics.fast.excerpt.part.columns] = True
         self._scaled = _ScaledContext(simulation, dynamics, self._kT) if pressure else None
 
     def row(self, state: openmm.State, observables: Mapping[str, Observable]) -> list[float]:
-        """Return the values of the columns after the time, for a State with energy, forces and positions."""
+        """Return the values of the columns that follow the time, for a State with energy, forces and positions."""
         x = arrays.positions(state)
         of_bodies = self._dynamics.state(x)
         total = self._generalised(of_bodies, arrays.forces(state))

@@ -28,7 +28,7 @@ class Settings:
     slopes : (float, float)
         Factors with which a correction subtracts the slope of an observable, for bodies without and with inner steps.
     barostat_slope : float
-        This factor for the slope of the pressure, where a barostat acts.
+        The same factor for the slope of the pressure at the point of a step where a barostat acts.
     temperature : float
         Temperature in K.
     kT : float
@@ -46,7 +46,7 @@ class Settings:
     observables : tuple of str
         Names of the user's observables.
     chords : bool, optional
-        Whether drifts are along chords, as in `openmm_exactrb.averages.chord`.
+        Whether drifts follow chords, as in `openmm_exactrb.averages.chord`.
     """
 
     scheme: str
@@ -90,7 +90,7 @@ def continues(text: str, settings: Settings, columns: tuple[str, ...]) -> bool:
 
 
 def _settings(line: str) -> Settings | None:
-    """Return the settings in a line, or None if they are those of another version."""
+    """Return the settings in a line, or None if another version wrote them."""
     known = json.loads(line.removeprefix(_MARK))
     tuples = {name: tuple(value) for name, value in known.items() if isinstance(value, list)}
     try:
@@ -107,7 +107,7 @@ def _value(text: str) -> float:
 
 
 def read(file: str | os.PathLike[str]) -> tuple[Settings, dict[str, Array]]:
-    """Return the settings of a file, and its columns by name; the names have no units.
+    """Return the settings of a file, and its columns by names without units.
 
     Raises
     ------

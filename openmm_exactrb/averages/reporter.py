@@ -26,13 +26,13 @@ class AverageReporter:
     ----------
     file : str or path
     reportInterval : int
-        Number of steps between two frames. In water, frames a tenth of a ps apart are nearly independent.
+        Number of steps between two frames. In water, frames 0.1 ps apart are nearly independent.
     pressure : bool, optional
         Whether to store the molecular pressure and its slope, which costs two more evaluations of energy and forces per
         frame. Corrections at constant pressure and `pressure_offset` need this pressure.
     observables : mapping of str to callable, optional
-        Functions that return a number for the positions, an array (n_particles, 3) in nm with whole molecules. They are
-        also evaluated at displaced positions, to compute the slopes that the corrections need.
+        Functions that return a number for the positions, an array (n_particles, 3) in nm with whole molecules. These
+        functions are also evaluated at displaced positions, to compute the slopes that the corrections need.
     around : (sequence of int, float), optional
         Particles, such as those of a solute, and a distance in nm (or a Quantity). The curvature of the potential is
         then also stored for the bodies within this distance alone. For observables that depend only on these particles,

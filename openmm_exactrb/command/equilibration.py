@@ -48,7 +48,7 @@ def claim(job: Run, args: argparse.Namespace, files: Iterable[str]) -> None:
 
 
 def start_of(job: Run, args: argparse.Namespace, box: Box, platform: openmm.Platform) -> openmm.State:
-    """Return the State at step 0, which is that of the user or an equilibrated one.
+    """Return the State at step 0: the user's State, or an equilibrated one.
 
     A start without velocities is minimised, given velocities, and equilibrated for ``--equilibrate``.
     """
@@ -108,7 +108,7 @@ def _equilibrated(
     else:
         simulation.context.setPositions(box.positions)
     if not box.moves:
-        flexible = len(integrator.bodyState()[0].clusters) > 0  # OpenMM's minimiser handles these
+        flexible = len(integrator.bodyState()[0].clusters) > 0  # OpenMM's minimiser handles clusters
         if flexible and (why := why_not_by_default(platform.getName())):
             warn(f"{why}: use --platform CPU if this run ends without a message")
         minimise(integrator)

@@ -24,7 +24,7 @@ from openmm_exactrb.support.version import version
 PURPOSE = "Print how the molecules of a file move, a step for them and what is not supported, or what is installed."
 
 _INTEGRATORS = [name for name in openmm_exactrb.__all__ if name.endswith("Integrator")]
-# Their uses are on the page "Which integrator, scheme and step" of the documentation.
+# The page "Which integrator, scheme and step" of the documentation describes the uses of these schemes.
 _RECOMMENDED = ("W2_1", "W4_4", "W2_3m")
 _LIBRARIES = ("numpy", "scipy", "numba", "matplotlib")
 

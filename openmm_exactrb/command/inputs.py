@@ -40,7 +40,7 @@ _AMBER = app.AmberInpcrdFile, app.AmberPrmtopFile, attrgetter("boxVectors")
 _GROMACS = app.GromacsGroFile, app.GromacsTopFile, methodcaller("getPeriodicBoxVectors")
 _POSITIONS: dict[str, tuple[Any, Any, Callable[[Any], Any]]]
 _POSITIONS = {".gro": _GROMACS, ".inpcrd": _AMBER, ".rst7": _AMBER, ".crd": _AMBER}
-_SWITCH = 0.1 * unit.nanometer  # width of the switch: a jump of the force at the cutoff would heat
+_SWITCH = 0.1 * unit.nanometer  # width of the switch: a jump of the force at the cutoff would heat the system
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ def load(args: argparse.Namespace) -> Box:
     if len(kinds) == 2 and set(kinds) & set(_POSITIONS):
         return _with_topology(args, *sorted(args.files, key=lambda file: file.suffix.lower() in _POSITIONS))
     if len(kinds) > 1 or not all(kind in _READERS for kind in kinds):
-        raise ValueError(f"give {FILES}, or no files with --solvate, not {' '.join(map(str, args.files))}")
+        raise ValueError(f"cannot use {' '.join(map(str, args.files))}: give {FILES}, or --solvate without a file")
     if not args.forcefield:
         what = f"{args.files[0]} has no forces" if kinds else "water has several models"
         raise ValueError(f"{what}: name the force field, such as --forcefield tip4pew.xml")
@@ -235,7 +235,7 @@ def _understood(what: str, function: Callable[..., Any], *arguments: Any, **opti
 
 
 def begin_at(simulation: app.Simulation, state: openmm.State) -> None:
-    """Load a State, but keep the pressure and temperature of the barostat of the Simulation."""
+    """Load a State, but keep the pressure and temperature of the Simulation's barostat."""
     loadState(simulation, state)
     for force in simulation.system.getForces():
         if isinstance(force, openmm.MonteCarloBarostat):
@@ -251,7 +251,9 @@ def topology_of(system: openmm.System, state: openmm.State) -> app.Topology:
     molecules = context.getMolecules()
     in_order = [i for molecule in molecules for i in molecule]
     if in_order != list(range(system.getNumParticles())):  # a Topology requires this order
-        raise ValueError("molecules of the System are interleaved: give their PDB or PDBx file instead")
+        raise ValueError(
+            "the particles of different molecules are interleaved in the System: give their PDB or PDBx file instead"
+        )
     topology = app.Topology()
     chain = topology.addChain()
     for molecule in molecules:

@@ -1,4 +1,4 @@
-"""The command ``exactrb``: its subcommands, and its error messages of one line."""
+"""The command ``exactrb``: its subcommands, and its one-line error messages."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from openmm_exactrb.command.arguments import Parser
 
 # Exceptions caused by a user's files and options.
 _ERRORS = (ValueError, ArithmeticError, OSError, ModuleNotFoundError, openmm.OpenMMException)
-_NOBODY_READS = 141  # the status of a process that SIGPIPE ends, a signal that Windows does not have
+_NOBODY_READS = 141  # the exit status after SIGPIPE, a signal that Windows lacks
 _COMMANDS = {"run": run, "tune": tune, "info": info}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Execute a command line, by default that of the process, and return its exit status.
 
-    The exit status is 0, 1 if `exactrb tune` does not reach its target, 2 after an error, which is printed as one line
-    on stderr, 130 after Ctrl-C, or 141 if the reader of the output has ended.
+    The exit status is 0 on success, 1 if `exactrb tune` misses its target, 2 after an error, 130 after Ctrl-C, and 141
+    if the reader of the output has ended. Errors are printed as one line on stderr.
     """
     args = _parser().parse_args(arguments)
     with warnings.catch_warnings():
@@ -54,7 +54,7 @@ def _status(args: argparse.Namespace) -> int:
         return 2
     except (KeyboardInterrupt, SystemError) as error:
         if isinstance(error, SystemError) and not isinstance(error.__cause__, KeyboardInterrupt):
-            raise  # otherwise OpenMM's wrapper has made it of the KeyboardInterrupt of Ctrl-C
+            raise  # otherwise OpenMM's wrapper converted the KeyboardInterrupt of Ctrl-C
         again = "; to resume it, repeat the command with --resume" if args.command == "run" else ""
         begin = "\n" if sys.stderr.isatty() else ""  # ends the line of ^C, or of a progress bar
         print(f"{begin}exactrb {args.command}: SIGINT: stopped{again}", file=sys.stderr)

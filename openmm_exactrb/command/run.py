@@ -29,7 +29,7 @@ PURPOSE = "Run a simulation: trajectory, energies and a picture in a folder; --r
 _TRAJECTORIES = {"dcd": app.DCDReporter, "xtc": app.XTCReporter}
 # Options that may differ when a run is resumed: files and force field are compared by the System that they define.
 _FREE = ("command", "duration", "files", "forcefield", "picture", "quiet")
-# Defaults of options that have no effect on some runs, and are an error there.
+# Defaults of options that raise an error in runs on which they have no effect.
 _DEFAULTS: dict[str, Any] = {
     "temperature": 300.0,
     "friction": 1.0,

@@ -52,10 +52,9 @@ class BodyAccess:
     def totalEnergy(self) -> unit.Quantity:
         """Return the kinetic energy plus the potential energy of the integration force groups, in kJ/mol.
 
-        The kinetic energy is computed from the bodies in float64, even if the platform rounds velocities. With a scheme
-        whose steps end with a drift after a heat exchange, such as the default with a thermostat, the total energy has
-        its canonical mean, but additional fluctuations in proportion to the step size; monitor ``effectiveEnergy``
-        instead.
+        The kinetic energy is computed from the bodies in float64, even if the platform rounds velocities. If steps end
+        with a drift after a heat exchange, as by default with a thermostat, the total energy has its canonical mean but
+        additional fluctuations proportional to the step size. In this case, monitor ``effectiveEnergy``.
         """
         context = self._up_to_date().sync.context
         state = context.getState(energy=True, groups=self.getIntegrationForceGroups())
@@ -105,9 +104,9 @@ class BodyAccess:
     def computeSystemTemperature(self) -> unit.Quantity:
         """Return the temperature of all degrees of freedom of the bodies, in K; nan if there are none.
 
-        It is the mean of `temperatures`, weighted by `degreesOfFreedom`. OpenMM's reporters call this method instead of
-        counting the constraints of the System, because that count is wrong for redundant constraints and for bodies
-        named by hand.
+        The result is the mean of `temperatures`, weighted by `degreesOfFreedom`. OpenMM's reporters call this method
+        instead of counting the constraints of the System, because that count is wrong for redundant constraints and for
+        bodies named by hand.
         """
         propagator = self._up_to_date()
         return _temperature(sum(thermal_energies(propagator, propagator.sync.state)), sum(freedom_of(propagator)))
@@ -138,14 +137,14 @@ class BodyAccess:
     def minimizeEnergy(self, tolerance: float | unit.Quantity = 10.0, maxIterations: int = 0) -> None:
         """Minimise the potential energy.
 
-        Bodies stay rigid, including those named by hand; ``simulation.minimizeEnergy`` calls this method if bodies are
+        Bodies stay rigid, including those named by hand. ``simulation.minimizeEnergy`` calls this method if bodies are
         named by hand or constraints are redundant. OpenMM minimises molecules that are constrained but not rigid.
 
         Parameters
         ----------
         tolerance : float or Quantity
-            Largest component of a force at the minimum, in kJ/mol/nm if it has no unit; for OpenMM's minimiser, the
-            root mean square of all components.
+            Largest component of a force at the minimum, in kJ/mol/nm if it has no unit. OpenMM's minimiser limits the
+            root mean square of all components instead.
         maxIterations : int, optional
             Largest number of iterations; 0 for no limit.
 
@@ -183,8 +182,8 @@ class BodyAccess:
             except (ValueError, openmm.OpenMMException) as error:
                 sync.context.setPositions(start)
                 raise ArithmeticError(
-                    "OpenMM's minimiser could not satisfy the constraints; positions are unchanged: remove overlaps "
-                    "with short steps at high friction and checkDivergence=False"
+                    "OpenMM's minimiser could not satisfy the constraints, and positions are unchanged: remove "
+                    "overlaps with short steps at high friction and checkDivergence=False"
                 ) from error
             sync.push()
             return
@@ -212,7 +211,7 @@ class BodyAccess:
         """
         sync = self._up_to_date().sync
         if not isinstance(state, BodyState | State):
-            raise ValueError(f"setBodyState() takes the state of bodies, bodyState()[1], not a {type(state).__name__}")
+            raise ValueError(f"setBodyState() takes the state in bodyState()[1], not a {type(state).__name__}")
         full = state if isinstance(state, State) else State.of(state)
         if any(a.shape != b.shape or not np.isfinite(a).all() for a, b in zip(full, sync.state, strict=True)):
             raise ValueError(

@@ -25,8 +25,8 @@ def of_groups(
 ) -> dict[str, Motion]:
     """Return the motion of groups of particles, which must consist of whole bodies and clusters.
 
-    If the centre of mass of the System is kept at rest, the motion is relative to it, and each group loses three
-    degrees of freedom times its fraction of the mass. Raise ValueError if a group contains only part of a body or
+    If the centre of mass of the System is kept at rest, the motion is relative to this centre. Each group then loses
+    three degrees of freedom times its fraction of the mass. Raise ValueError if a group contains only part of a body or
     cluster.
     """
     lists = checks.lists_of_indices(list(groups.values()), "groups")
@@ -50,7 +50,7 @@ def _chosen(bodies: RigidBodies, name: str, particles: list[int]) -> NDArray[np.
             f"particles from 0 to {bodies.n_particles - 1}"
         )
     chosen, owner = bodies.touched(np.array(particles, dtype=np.intp)), bodies.owner
-    left_out = np.append(chosen, False)[owner]  # the last entry is for particles of no body
+    left_out = np.append(chosen, False)[owner]  # the last entry is for particles in no body
     left_out[particles] = False
     if left_out.any():
         raise ValueError(

@@ -20,13 +20,13 @@ from openmm_exactrb.mechanics.state import Remembered, State
 from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.support.types import Array, Indices
 
-# A saved state continues in full precision if the positions (nm) and velocities (nm/ps) of the Context differ from its
-# own by at most _SAME plus _SAME_PART times the value, since mixed precision has rounded them.
+# Mixed precision rounds the positions (nm) and velocities (nm/ps) of the Context. A saved state is restored in full
+# precision if they differ from its own values by at most _SAME plus _SAME_PART times the value.
 _SAME, _SAME_PART = 1e-13, 3e-14
 # Particles farther than this (nm) from their positions in rigid bodies are moved to these positions in the Context too.
 _RIGID = 1e-9
-# Changes of centres (nm), orientations, velocities (nm/ps) and angular velocities (1/ps) up to this keep an inner
-# state.
+# An inner state is kept if centres (nm), orientations, velocities (nm/ps) and angular velocities (1/ps) change by at
+# most this number.
 _SMALL = 1e-8
 # In a periodic box OpenMM's Reference platform misses pairs of particles with coordinates (nm) that roundoff makes
 # negative.
@@ -38,7 +38,7 @@ class Positions:
 
     The object does not keep the Context alive. Every change of positions, box or parameters increases `version`, so
     that results of earlier versions are recomputed. The array x (n_particles, 3) contains the positions of all
-    particles; those of particles in bodies are overwritten.
+    particles. Positions of particles in bodies are overwritten.
     """
 
     def __init__(self, context: Any, bodies: RigidBodies, x: Array) -> None:
@@ -82,7 +82,7 @@ class Positions:
 class Synchronisation:
     """The bodies of a Context and their state.
 
-    The object holds only weak references to the Context and the integrator, which own it. The variables of the
+    The object holds only weak references to the Context and the integrator, which own the object. The variables of the
     integrator carry the full state in checkpoints and States. A ValueError is raised if there are no positions, no
     particle can move, or bodies are not supported or do not match the positions. The argument `pairs` is passed to
     `find_bodies`; `bodies` is the result of this function, if known.
@@ -97,7 +97,7 @@ class Synchronisation:
     memory : Remembered
         The forces of the last kicks, in the inner coordinates.
     particles : (n_particles, 3) array
-        Positions of all particles (nm), of which those of particles in bodies are overwritten.
+        Positions of all particles (nm); those of particles in bodies are overwritten.
     positions : Positions
         The writer of the positions into the Context.
     """
@@ -122,7 +122,7 @@ class Synchronisation:
         self._seen: tuple[Array, Array] | None = None  # values in the Context when it last held `state`
         self.state: State
         self.inner: State | None = None
-        self._coordinates = 0.0  # of the inner state
+        self._coordinates = 0.0  # the mark of the coordinates of the inner state
         self.memory: Remembered = ([], [])
         self._outdated = self._written = False
         #: Called when a user has set a State or a step count, or has reinitialised the Context without a seed.
@@ -207,7 +207,7 @@ class Synchronisation:
         return known.renewed(refit(self.bodies, known.rounded, x, v, moved, pushed))
 
     def _follow(self, before: State, after: State) -> None:
-        """Apply a user's change to the inner state too, by adding it if it is below the errors of the output.
+        """Apply a user's change to the inner state too, by addition if the change is below the errors of the output.
 
         After a larger change the processor recomputes the inner state from the true state.
         """
@@ -215,7 +215,7 @@ class Synchronisation:
             return
         changes = [(new - old).sum(axis=0) for new, old in zip(after, before, strict=True)]
         atoms = np.arange(len(self.bodies.mass))[self.bodies.clustered]
-        atoms = atoms[changes[1][:, atoms].any(axis=0)]  # without momenta along constraints, whose loss is no change
+        atoms = atoms[changes[1][:, atoms].any(axis=0)]  # the loss of momenta along constraints is no change
         changes[1][:, atoms] = (after.rounded.P - self.bodies.tangent(before.rounded).P)[:, atoms]
         sizes = (self.bodies.mass, self.bodies.inertia.T)
         small = all(map(_is_small, changes, (1.0, sizes[0], 1.0, sizes[1])))
@@ -265,7 +265,7 @@ class Synchronisation:
         variables.mark(integrator, self._mark)
 
     def _unmark(self) -> None:
-        """Remove the mark, so that only variables that were loaded have a mark."""
+        """Remove the mark, so that only loaded variables have a mark."""
         variables.mark(self._integrator(), variables.NOTHING)
 
     def _withdraw(self) -> None:
@@ -294,7 +294,7 @@ class Synchronisation:
 def require_positions(context: openmm.Context) -> None:
     """Raise ValueError if positions were never set.
 
-    OpenMM checks this when forces are requested, here for no force group.
+    OpenMM performs this check when forces are requested, even for no force group.
     """
     try:
         context.getState(forces=True, groups=0)

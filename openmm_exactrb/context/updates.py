@@ -31,7 +31,7 @@ UPDATES = (_THERMOSTAT, _REMOVER, *BAROSTATS)
 
 
 class RemovedMotionWarning(UserWarning):
-    """A CMMotionRemover removes momentum transferred by frozen particles, which causes energy errors of order 1."""
+    """The removal of momentum that frozen particles transfer causes energy errors of order 1 in the step size."""
 
 
 class ContextUpdates:
@@ -172,7 +172,7 @@ def warn_of_removed_motion(system: openmm.System) -> None:
 
 
 def acting_updates(context: openmm.Context) -> list[Any]:
-    """Return the thermostats and barostats of a Context, without those added to its System later, which do not act."""
+    """Return the thermostats and barostats of a Context, except those added to its System later, which do not act."""
     known = set(context.getParameters())
     names = (_THERMOSTAT, *BAROSTATS)
     found = [force for force in context.getSystem().getForces() if type(force).__name__ in names]

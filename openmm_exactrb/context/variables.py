@@ -1,9 +1,9 @@
 """Declaration of the persistent variables, which OpenMM's checkpoints, States and XML contain.
 
 Their names and order define the format of checkpoints. All integrators of the package have the variables of all its
-thermostats, so that an integrator can load a checkpoint or State of another kind of integrator. The variables of a
-single thermostat are declared last, and change the format. An OpenMM checkpoint contains numbers without names, which
-OpenMM loads into any variables; the first number therefore also identifies the format.
+thermostats, so that an integrator can load a checkpoint or State of another kind of integrator. Variables that only one
+thermostat has are declared last, and change the format. An OpenMM checkpoint contains numbers without names, which
+OpenMM loads into any variables. The first number therefore also identifies the format.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ NOTHING, _WRITTEN, _STEPPING, _DEVICE = 0.0, 1.0, 2.0, 4.0
 COORDINATES, REMEMBERED, DIFFERENCES = "coordinates", "remembered", "differences"
 #: The seed of the noise, and the number of its stream.
 SEED, STREAM = "seed", "stream"
-#: The heat that thermostats have exchanged, and the numbers of accepted and of all proposals of Metropolis's rule.
+#: The heat that thermostats have exchanged, and the numbers of accepted and of all proposals in the Metropolis test.
 HEAT, HEAT_OF_FRICTION, ACCEPTED, PROPOSED = "heat", "heat_of_friction", "accepted", "proposed"
 _NUMBERS = (SEED, STREAM, HEAT, HEAT_OF_FRICTION, ACCEPTED, PROPOSED, COORDINATES, REMEMBERED, DIFFERENCES)
 #: Message about a checkpoint that another engine wrote.
@@ -51,7 +51,7 @@ def declare(integrator: openmm.CustomIntegrator, own: Sequence[str] = (), memory
 
     A copy that OpenMM creates, from XML or within a CompoundIntegrator, has no Python part: its steps would advance the
     clock without moving the bodies. Positions and velocities therefore become nan unless Python performs the step.
-    `own` lists the names of numbers that not all integrators have. For a processed scheme, which also has an inner
+    `own` lists the names of numbers that only some integrators have. For a processed scheme, which also has an inner
     state, `memory` is the number of stored forces.
     """
     stored = _PREFIX + _STORED
@@ -63,7 +63,7 @@ def declare(integrator: openmm.CustomIntegrator, own: Sequence[str] = (), memory
     integrator.addGlobalVariable(stored, NOTHING)
     integrator.beginIfBlock(f"{stored} < {_STEPPING}")
     integrator.addComputePerDof("x", f"x + log({stored} - 3)")
-    # Forces at such positions raise an error on platforms that check positions; Reference does not check them.
+    # Forces at such positions raise an error on platforms that check positions, unlike Reference.
     integrator.addComputePerDof("v", f"v + f + log({stored} - 3)")
     integrator.endBlock()
     integrator.addUpdateContextState()
@@ -103,7 +103,7 @@ def declare_device(integrator: openmm.CustomIntegrator, own: Sequence[str] = ())
 
 
 def own_numbers(integrator: openmm.CustomIntegrator) -> list[str]:
-    """Return the names of the numbers that not all integrators have."""
+    """Return the names of the numbers that only some integrators have."""
     names = range(1 + len(_NUMBERS), integrator.getNumGlobalVariables())
     return [integrator.getGlobalVariableName(k).removeprefix(_PREFIX) for k in names]
 

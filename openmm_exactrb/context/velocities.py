@@ -2,9 +2,9 @@
 
 OpenMM draws the velocities of particles, and its constraint solver removes their components along the constraints. The
 momenta of rigid bodies are then canonical, because impulses along constraints do not change them. With redundant
-constraints, however, the solver does not converge, or leaves motions that bend a straight or flat body. It supports
-neither molecules that the box has split nor bodies named by hand. In addition, the centre of mass moves until a
-CMMotionRemover acts.
+constraints, however, the solver does not converge, or leaves motions that bend a straight or flat body. The solver
+supports neither molecules that the box has split nor bodies named by hand. In addition, the centre of mass moves until
+a CMMotionRemover acts.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from openmm_exactrb.context.solver import solvable
 from openmm_exactrb.openmm_access import arrays, parameters
 from openmm_exactrb.openmm_access.units import gas_constant_times
 
-# Largest velocity along a constraint that a converged solver may leave, over the thermal speed of the lightest
+# Largest velocity along a constraint that a converged solver may leave, relative to the thermal speed of the lightest
 # particle.
 _LEFT = 1e-3
 

@@ -92,7 +92,7 @@ def find_bodies(
 def _flexible(particles: Indices, masses: Array, distances: Array, positions: Array) -> ClusterKind:
     """Return clusters with given constrained distances (n, n); unconstrained distances are nan.
 
-    Redundant constraints become implied constraints; all lengths are then those of the best fit to all constraints.
+    Redundant constraints become implied constraints. All lengths are then those of the best fit to all constraints.
     """
     pairs = np.argwhere(np.triu(~np.isnan(distances), 1))
     kind = ClusterKind(particles, masses, pairs, distances[pairs[:, 0], pairs[:, 1]])
@@ -128,7 +128,7 @@ def _check_drude_particles(system: openmm.System) -> None:
             names = ", ".join(str(force.getParticleParameters(i)[0]) for i in range(min(3, force.getNumParticles())))
             raise ValueError(
                 f"the System has Drude particles ({names}, ...), which need one of OpenMM's Drude integrators: use a "
-                "force field without them"
+                "force field without Drude particles"
             )
 
 

@@ -19,8 +19,8 @@ _POINT = 1e-6
 RESIDUAL = 1e-5
 # Largest number of particles of a flat body with unconstrained distances, and least stress that keeps it flat.
 _LARGEST_FLAT, _RESISTING = 64, 1e-3
-# Largest number of iterations for positions on constraints, and the move, relative to the longest constraint, that ends
-# them.
+# Largest number of Newton iterations onto constraints, and the displacement, relative to the longest constraint, below
+# which they end.
 _NEWTON, _AT_REST = 50, 1e-15
 
 
@@ -39,7 +39,7 @@ def kinds_from_distances(particles: Indices, masses: Array, distances: Array, po
 
 
 def on_constraints(particles: Indices, masses: Array, distances: Array, positions: Array) -> Array:
-    """Return the positions (n_particles, 3) that satisfy constraints and are closest in the metric of the masses.
+    """Return the positions (n_particles, 3) on the constraints that are closest to given ones in the mass metric.
 
     Newton's method starts from the given positions; bodies without constraints are unchanged. Constraints that are
     redundant up to rounding are satisfied in the sense of least squares. A ValueError is raised if positions are not
@@ -79,7 +79,7 @@ def on_constraints(particles: Indices, masses: Array, distances: Array, position
 def kinds_from_positions(particles: Indices, masses: Array, positions: Array) -> list[Kind]:
     """Return the kinds of bodies with given masses, whose shapes are taken from their positions.
 
-    If all bodies agree with the first within `RIGIDITY`, they share its shape; otherwise each body has a separate
+    If all bodies agree with the first within `RIGIDITY`, they share its shape. Otherwise each body has a separate
     shape.
     """
     X = positions[particles]
@@ -135,10 +135,10 @@ def held_rigid(distances: Array, x: Array) -> bool:
 def _kept_flat(distances: Array, places: Array) -> bool:
     """Return whether constraints keep a flat or straight body with given coordinates (k, 1 or 2) in that shape.
 
-    They do if there is a stress on the constraints that is in equilibrium at each particle and resists all motions out
+    Constraints do so if there is a stress on them that is in equilibrium at each particle and resists all motions out
     of the plane (Connelly, Invent. Math. 66 (1982) 11). Such a stress is a positive definite matrix whose entries
-    vanish for unconstrained distances. The stress closest to that of a body with all distances constrained is tested;
-    the result is False for bodies of more than `_LARGEST_FLAT` particles.
+    vanish for unconstrained distances. The stress closest to that of a body with all distances constrained is tested.
+    The result is False for bodies of more than `_LARGEST_FLAT` particles.
     """
     k = len(places)
     if k > _LARGEST_FLAT:
@@ -164,7 +164,7 @@ def _kind(particles: Indices, masses: Array, distances: Array) -> Kind:
     root = np.sqrt(masses)
     spread, axes = _scaled(distances, masses / mass, root)
     sites = axes * np.sqrt(spread) / root[:, None]
-    if not spread.all():  # flat, or only the masses are: then find positions first and axes next
+    if not spread.all():  # the body or its mass distribution is flat: find positions, then axes
         extent, directions = _scaled(distances, np.full(k, 1.0 / k), np.ones(k))
         if np.count_nonzero(extent) > np.count_nonzero(spread):
             places = directions * np.sqrt(extent)
@@ -177,7 +177,7 @@ def _kind(particles: Indices, masses: Array, distances: Array) -> Kind:
             f"the constraints between particles {', '.join(map(str, particles[0]))} cannot be satisfied in three "
             f"dimensions, with an error of {residual:.2g} nm at best: correct the lengths of these constraints"
         )
-    # The largest spread comes first, so that moments ascend and a linear body is along axis 1.
+    # The largest spread comes first, so that moments ascend and a linear body lies along axis 1.
     return Kind(particles, slice(0), masses, sites[None], mass, (spread.sum() - spread)[None])
 
 

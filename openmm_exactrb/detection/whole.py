@@ -1,7 +1,7 @@
 """Positions of a System with whole molecules, which are joined along constraints and bonds, or to a known shape.
 
 The positions define the shape of bodies named by hand. If neither constraints nor bonds join the parts of such a body,
-its positions are used unchanged; a ValueError is raised if there is evidence that the box has split it.
+its positions are used unchanged. A ValueError is raised if there is evidence that the box has split the body.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ _SHORTER = 1.0 - 1e-6
 _FITTING = 2.0
 # A gap below this fraction of half the box has no other image of nearly the same length.
 _CLEAR = 0.5
-# Distances (nm) that differ by less are equal. Shapes may differ by the second number, because files round positions.
+# Distances (nm) that differ by less than the first number are equal. Shapes may differ by up to the second number,
+# because files round positions.
 _COMMON, _ROUNDED = 1e-6, 2e-3
 # Number of bodies that are compared to find the distances common to all.
 _COMPARED = 4
@@ -74,7 +75,7 @@ def whole_positions(
 ) -> Array:
     """Return positions (n_particles, 3) in which constrained clusters and bodies named by the user are whole.
 
-    ``held`` are the constraints of the System.
+    ``held`` contains the constraints of the System.
 
     Raises
     ------
@@ -122,7 +123,7 @@ def _check_doubtful_bonds(x: Array, links: Links, found: Decided, owner: Indices
 
 
 def _check_split_parts(links: Links, moved: NDArray[np.bool_], named: list[Indices], loose: list[int]) -> None:
-    """Raise ValueError for a body of several parts, one of which was split."""
+    """Raise ValueError for a body of several parts if the box has split one part."""
     for number in loose:
         body = named[number]
         if moved[body].any():
@@ -195,7 +196,7 @@ def _by_common_shape(X: Array, box: Array) -> tuple[Array, NDArray[np.bool_]]:
 
 def _nearest(X: Array, box: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Return bodies (n, k, 3) joined by nearest images, and a mask (n,) of those whose gaps become shorter."""
-    near, torn = X.copy(), np.ptp(X @ np.linalg.inv(box), axis=1).max(axis=1) > 0.5  # narrow bodies are not
+    near, torn = X.copy(), np.ptp(X @ np.linalg.inv(box), axis=1).max(axis=1) > 0.5  # narrow bodies are not torn
     if torn.any():
         (given, _), (across, shifts) = image_gaps(X[torn], None), image_gaps(X[torn], box)
         near[torn] += shifts @ box
@@ -271,5 +272,5 @@ def _in_cell(X: Array, box: Array) -> bool:
 
 
 def _steps(X: Array) -> Array:
-    """Return the lengths (k - 1,) of the links of a shortest tree through the particles of a body (k, 3)."""
+    """Return the lengths (k - 1,) of the links of a minimum spanning tree of the particles of a body (k, 3)."""
     return np.asarray(np.linalg.norm(np.diff(X[shortest_tree(X[None])], axis=1)[:, 0], axis=1))

@@ -78,7 +78,7 @@ class Propagator(Protocol):
 
     @property
     def sync(self) -> Synchronisation:
-        """The state of the bodies; if this is outdated, the propagator must be replaced."""
+        """The state of the bodies; a propagator whose state is outdated must be replaced."""
 
     @property
     def updates(self) -> ContextUpdates:

@@ -53,7 +53,7 @@ class Selection:
         serving, reasons = _serving(self._candidates, lambda engine: engine.unsupported_in(context, settings))
         if not self.open:
             return
-        if writer in serving:  # a run that continues keeps its engine if it can
+        if writer in serving:  # a continued run keeps its engine if possible
             self._choose(writer, f"the run began with engine={writer.name!r}", settings)
             return
         reasons = [*self._reasons, *reasons]

@@ -31,7 +31,7 @@ def as_completed(
 ) -> Iterator[Result]:
     """Execute jobs and yield their results as they complete, stored ones first.
 
-    A job whose function raises an exception, or that repeatedly kills its workers, yields a result with the error; a
+    A job whose function raises an exception, or that repeatedly kills its workers, yields a result with the error. A
     later call tries the job again. Jobs of a worker process that dies are restarted on another worker. Closing the
     iterator cancels the remaining jobs.
 

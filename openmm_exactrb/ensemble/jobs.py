@@ -30,7 +30,7 @@ class Job:
         including seeds.
     **arguments
         Numbers, text, lists, mappings, numpy arrays, paths, Quantities, functions, dataclasses such as a `Scheme`, or a
-        System, State, Force or Integrator of OpenMM. The job keeps copies and sends them to the worker; instead of a
+        System, State, Force or Integrator of OpenMM. The job keeps copies and sends them to the worker. Instead of a
         large object, pass the path of a file or a function that builds the object. Use a ``pathlib.Path`` for a file
         that the function reads, and a str for a file that it writes.
 
@@ -45,7 +45,7 @@ class Job:
     function : callable
     key : str
         Hash of the function's name, the arguments, the content of files that a ``pathlib.Path`` names, and the versions
-        of this package and OpenMM. It does not include the function's code: after changing the code, use another
+        of this package and OpenMM. The hash does not include the function's code: after changing the code, use another
         folder.
 
     Examples
@@ -63,7 +63,7 @@ class Job:
             name = _importable_name(function)
         except TypeError as error:
             raise TypeError(f"the function of a job {error}") from None
-        inspect.signature(function).bind(**arguments)  # a TypeError here, not on a worker
+        inspect.signature(function).bind(**arguments)  # raises a TypeError here, not on a worker
         texts = {argument: _text(argument, value) for argument, value in arguments.items()}
         self.function = function
         self.key = digest(json.dumps([*versions(), name, texts], sort_keys=True).encode())

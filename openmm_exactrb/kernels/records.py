@@ -37,7 +37,7 @@ class Graph(NamedTuple):
 
 
 class Bodies(NamedTuple):
-    """Rigid bodies, of which those that rotate come first."""
+    """Rigid bodies; those that rotate come first."""
 
     mass: F1  #: (N,)
     moments: F2  #: principal moments of the bodies that rotate, (3, 1) or (3, K)

@@ -109,7 +109,7 @@ class RigidBodies:
 
     def touched(self, particles: Indices) -> NDArray[np.bool_]:
         """Return a mask (N,) of the bodies, and of all atoms of the clusters, that contain one of the particles."""
-        chosen = np.zeros(len(self) + 1, dtype=bool)  # the last one is no body
+        chosen = np.zeros(len(self) + 1, dtype=bool)  # the last entry is for no body
         chosen[self.owner[particles]] = True
         for _, columns in self.clusters.columns():
             atoms = columns + self.n_turning
@@ -162,7 +162,7 @@ class RigidBodies:
     ) -> BodyState:
         """Return a state with momenta drawn at kT (kJ/mol), optionally with the centre of mass at rest.
 
-        Momenta are projected onto the constraints; the projection, which is orthogonal in the mass metric, yields the
+        Momenta are projected onto the constraints. The projection, which is orthogonal in the mass metric, yields the
         canonical distribution on the constraints.
         """
         P = np.sqrt(kT * self.mass) * rng.standard_normal(state.P.shape)

@@ -24,7 +24,7 @@ from openmm_exactrb.support.types import Array, Indices
 
 #: The largest number of constraints in a cluster.
 LARGEST = 3000
-# Constraints less independent than this, as `ClusterKind.most_dependent` measures, are an error.
+# Constraints whose independence, as defined by `ClusterKind.most_dependent`, is below this number raise an error.
 _INDEPENDENT = 1e-9
 
 
@@ -95,7 +95,7 @@ class ClusterKind:
         """Return the independence of the constraints at positions (N, n, 3), and the most dependent constraint.
 
         Independence (N,) is the smallest squared norm, in the mass metric, of the part of a constraint's gradient that
-        is orthogonal to the gradients of the preceding constraints in `graph`; 0 means that the constraint follows from
+        is orthogonal to the gradients of the preceding constraints in `graph`. It is 0 if the constraint follows from
         them. The most dependent constraint (N,) is given by its index in `graph`.
         """
         r = (x[:, self.graph.pairs[:, 0]] - x[:, self.graph.pairs[:, 1]]).transpose(2, 1, 0)
@@ -192,7 +192,7 @@ class ClusterState(NamedTuple):
 class Clusters:
     """Clusters of several kinds as one set of arrays.
 
-    Atom a of cluster i of a kind is column first + a N + i of the state arrays, where N is the number of clusters of
+    Atom a of cluster i of a kind is in column first + a N + i of the state arrays. Here N is the number of clusters of
     the kind and `first` is its first column.
     """
 
@@ -243,7 +243,7 @@ class Clusters:
         return state._replace(p=self._advanced(state, 0.0, False).p)
 
     def _advanced(self, state: ClusterState, tau: float, moves: bool) -> ClusterState:
-        """Return the state after free motion over a time, or only with projected momenta unless `moves`."""
+        """Return the state after free motion over a time or, unless `moves`, only with projected momenta."""
         after = ClusterState(np.empty(state.x.shape), np.empty(state.p.shape))
         for kind, first in zip(self.kinds, self.first.tolist(), strict=False):
             self._advance(*state, tau, moves, first, len(kind.particles), kind.graph, *after)

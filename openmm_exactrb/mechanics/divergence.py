@@ -23,7 +23,7 @@ GROWN = 1.5
 _GAINED = 0.5
 # Largest mean kinetic energy of bonded bodies in kJ/mol: a fifth of this energy breaks a bond.
 _HOTTEST = 2500.0
-# BLAS distributes the sum of more numbers over threads, which costs milliseconds on a busy processor.
+# BLAS distributes sums of more than this many numbers over threads, which costs milliseconds on a busy processor.
 _FEW = 10_000
 # Relative rounding error of energies in single precision, and an insignificant energy in kJ/mol per body, which exceeds
 # that of a start at rest.
@@ -34,8 +34,8 @@ ADVICE = (
     "the energy first"
 )
 
-# Number of samples in a mean, which are at least one relaxation time of the thermostat apart, and number of relaxation
-# times omitted at the start, a few of which suffice to remove the initial heat.
+# Number of samples in a mean, at least one relaxation time of the thermostat apart, and number of relaxation times
+# omitted at the start. A few relaxation times suffice to remove the initial heat.
 _SAMPLES, _LEFT_OUT = 100, 20
 # A warning requires a mean that is too high by this fraction plus this number of standard errors.
 _TOO_HOT, _ERRORS = 0.05, 4.0
@@ -70,13 +70,13 @@ class DivergenceCheck:
         conserves: bool = True,
     ) -> None:
         self._bodies, self._potential, self._box, self._conserves = bodies, potential, box, conserves
-        self._fastest = float(np.min(LIGHT * bodies.mass, initial=np.inf)) ** 2  # below this sum of P², no body is
+        self._fastest = float(np.min(LIGHT * bodies.mass, initial=np.inf)) ** 2  # no body is faster below this P²
         #: Mean kinetic energy of bodies within inner steps, in kJ/mol, above which a step has diverged.
         self.hottest = _HOTTEST if conserves else np.inf
         self._good = 0.0, 0.0  # squares of linear and angular momenta
         self._number, self._time = 0, 0.0
-        self._before: State | None = None  # the step
-        self._since: State | None = None  # from which energy is kept
+        self._before: State | None = None  # the state before the step
+        self._since: State | None = None  # the state whose energy is the reference
 
     def begin(self, state: State) -> None:
         """Accept a state as valid."""
@@ -114,7 +114,7 @@ class DivergenceCheck:
     def of_inner_steps(self, bodies: RigidBodies) -> Callable[[State], None]:
         """Return a check of selected bodies after inner steps.
 
-        It is needed because an outer step that is far too long has thousands of inner steps.
+        The check is needed because an outer step that is far too long has thousands of inner steps.
         """
         half_mass, half_inertia = 0.5 / bodies.mass, 0.5 / bodies.inertia.T
 
@@ -128,7 +128,9 @@ class DivergenceCheck:
     def judge_inner_steps(self, mean: float) -> None:
         """Raise IntegrationError if the mean kinetic energy (kJ/mol) of bodies within inner steps exceeds `hottest`."""
         if not mean <= self.hottest:  # so that nan is too hot
-            raise IntegrationError(self._message(f"{mean:.3g} kJ/mol in each body within the inner steps"))
+            raise IntegrationError(
+                self._message(f"a mean kinetic energy of {mean:.3g} kJ/mol per body in the inner steps")
+            )
 
     def leave(self, state: State) -> None:
         """Raise IntegrationError if the state at the end of a step shows that the run has diverged."""
@@ -153,7 +155,7 @@ class DivergenceCheck:
     def _message(self, what: str) -> str:
         closest = ""
         if self._before is not None and len(self._bodies) > 1:
-            closest = f"The closest before it were {closest_pair(self._before.rounded, self._box())}. "
+            closest = f"The closest before the step were {closest_pair(self._before.rounded, self._box())}. "
         return f"step {self._number}, after {self._time:.6g} ps: {what}. {closest}{ADVICE.format('step')}"
 
 

@@ -23,8 +23,7 @@ def eliminated(coupled: Sequence[set[int]]) -> tuple[Indices, Indices, Indices, 
     order : (m,) array
         The row of the matrix that corresponds to each row of the factor.
     rows, columns : (m + 1,) and (e,) arrays
-        Start of the entries of each row of the factor, of which the diagonal entry is the last, and column of each
-        entry.
+        Start of the entries of each row of the factor, whose last entry is the diagonal one, and column of each entry.
     starts, left, right : (e + 1,) array, arrays
         Start of the products of each entry e, and the two entries of each product: entry e is (A_e - sum left right) /
         diagonal of the column.

@@ -21,7 +21,8 @@ REFUSED = 0.02
 RIGIDITY = 1e-4
 # A body whose positions relative to its centre changed by less than this, in nm, was translated but not rotated.
 _SHIFTED = 1e-9
-# Newton steps onto the constraints: each squares the error, from a fifth of a bond to below roundoff.
+# Number of Newton steps onto the constraints. As each step squares the relative error, they suffice from a fifth of a
+# bond length to below roundoff.
 _NEWTON = 8
 # If the error of a length after these steps exceeds this, in nm, the constraints cannot be satisfied.
 _REACHED = 1e-9
@@ -35,10 +36,9 @@ def fit(bodies: RigidBodies, x: Array, v: Array) -> BodyState:
     """Return the state of bodies with given positions (nm) and velocities (nm/ps) of all particles (n_particles, 3).
 
     A ValueError is raised if numbers are not finite, positions deviate by more than `REFUSED` from a rigid body, or a
-    constraint of a cluster follows from the others at these positions or cannot be satisfied from them. The state is
-    that of the best fit, which preserves centres and orientations; a ShapeWarning is issued if positions deviate by
-    more than `RIGIDITY`. The same limits hold for the constraints of nonrigid clusters, whose atoms are moved onto the
-    constraints.
+    constraint of a cluster is redundant or cannot be satisfied at these positions. The state is that of the best fit,
+    which preserves centres and orientations. A ShapeWarning is issued if positions deviate by more than `RIGIDITY`. The
+    same limits hold for the constraints of nonrigid clusters, whose atoms are moved onto the constraints.
     """
     every = np.arange(len(bodies))
     nowhere = np.zeros((3, len(bodies)))

@@ -23,10 +23,11 @@ class Kinetic:
 
     #: The flow of the kinetic energy.
     drift: Flow[State]
-    #: displaced(state, push) -> the state translated by momenta `push` (3, N), from rest, over the time 1, not rotated.
+    #: displaced(state, push) -> the state translated from rest, without rotation, by momenta `push` (3, N) over the
+    #: time 1.
     displaced: Callable[[State, Array], State]
-    #: tangent(state) -> the state with momenta projected onto the constraints. A drift begins with this projection, so
-    #: that it is needed after kicks and noise only where the energy is evaluated.
+    #: tangent(state) -> the state with momenta projected onto the constraints. Since a drift begins with this
+    #: projection, kicks and noise need it only where the energy is evaluated.
     tangent: Callable[[State], State]
     #: If only some bodies have inner steps: their drift, "inner", and the drift of the "others". Otherwise empty.
     split: Mapping[str, Flow[State]] = field(default_factory=dict)

@@ -1,7 +1,7 @@
 """Reassembly of molecules that a periodic box has split, and the search for the closest bodies.
 
-For each link between two particles, independently of the others, the shift by box vectors is determined with which the
-link has its length. Particles are then joined along a tree of links.
+For each link between two particles, independently of the others, the shift by box vectors that gives the link its
+length is determined. Particles are then joined along a tree of links.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from openmm_exactrb.mechanics.links import Links, shortest_tree
 from openmm_exactrb.mechanics.state import BodyState
 from openmm_exactrb.support.types import Array, Indices
 
-# A distance that differs from the length of a link by less than `_NEAR` (nm) may be this length; one that differs by
-# less than `_EQUAL` is.
+# A distance within `_NEAR` (nm) of the length of a link may be this length. A distance within `_EQUAL` (nm) is this
+# length.
 _NEAR, _EQUAL = 0.02, 1e-4
-# An image replaces the given vector if the error of its length is below this fraction of the error of the given one.
+# An image replaces the given vector if the error of its length is below this fraction of the error of the given vector.
 _CLOSER = 0.5
 # The largest distance, in units of the length of the bond, at which a bond is not considered split.
 _STRETCHED = 1.5
-# The number of combinations of images that are tried where the links of a group are undecided.
+# The largest number of combinations of images that are tried where the links of a group are undecided.
 _MOST_WAYS = 4096
 
 
@@ -35,7 +35,7 @@ class Decided:
 
     shifts: Array  #: (m, 3)
     doubtful: NDArray[np.bool_]  #: where neither an image nor the given vector has the length (m,)
-    undecided: NDArray[np.bool_]  #: where several images have the length within 0.02 nm (m,)
+    undecided: NDArray[np.bool_]  #: where several images match the length within 0.02 nm (m,)
 
 
 def decided(x: Array, links: Links, box: Array) -> Decided:
@@ -163,7 +163,7 @@ class Shapes:
 
 
 def spanning_pairs(sites: Array, braced: bool) -> Indices:
-    """Return pairs of particles of bodies (n, k, 3): a tree and, if `braced`, the pairs with four spanning ones."""
+    """Return pairs of particles of bodies (n, k, 3): a tree and, if `braced`, pairs with particle 0 or four others."""
     tree = shortest_tree(sites)
     if not braced:
         return tree
@@ -177,7 +177,7 @@ def spanning_pairs(sites: Array, braced: bool) -> Indices:
 
 
 def image_gaps(X: Array, box: Array | None) -> tuple[Array, Array]:
-    """Return the longest gap (n,) in the shortest tree through each body (n, k, 3), and the shifts of its particles.
+    """Return the longest gap (n,) in the minimum spanning tree of each body (n, k, 3), and the shifts of its particles.
 
     With a box, distances are those to the nearest images; the shifts (n, k, 3) are numbers of box vectors.
     """
@@ -200,7 +200,7 @@ def image_gaps(X: Array, box: Array | None) -> tuple[Array, Array]:
 
 def closest_pair(state: BodyState, box: Array | None = None) -> str:
     """Return a description of the two bodies with the closest centres, including images in a periodic box (3, 3)."""
-    from scipy.spatial import cKDTree  # here, for a short import of the package
+    from scipy.spatial import cKDTree  # imported here, because it is slow to import
 
     R, images = state.R.T, np.zeros((1, 3))
     if box is not None:
@@ -209,5 +209,5 @@ def closest_pair(state: BodyState, box: Array | None = None) -> str:
     places = (R + images[:, None]).reshape(-1, 3)
     distances, neighbours = map(np.asarray, cKDTree(places).query(R, k=2))
     body = int(np.argmin(distances[:, 1]))
-    other = next((int(k) for k in neighbours[body] % len(R) if k != body), body)  # or an image of its own
+    other = next((int(k) for k in neighbours[body] % len(R) if k != body), body)  # or an image of the body itself
     return f"the bodies {min(body, other)} and {max(body, other)}, {distances[body, 1]:.3g} nm apart"

@@ -28,7 +28,7 @@ class Links:
     @cached_property
     def component(self) -> Indices:
         """The index of the linked group to which each particle belongs (n_particles,)."""
-        from scipy.sparse.csgraph import connected_components  # here, for a short import of the package
+        from scipy.sparse.csgraph import connected_components  # imported here, because it is slow to import
 
         label = connected_components(self._graph(self.pairs, self._rank), directed=False)[1]
         return np.asarray(label[:-1], dtype=np.intp)
@@ -47,7 +47,7 @@ class Links:
         parents = before[particles].astype(np.intp)
         return particles, parents, np.searchsorted(self._keys, _keys(particles, parents, n))
 
-    def _graph(self, pairs: Indices, weights: Array) -> Any:  # with one node more, which is linked to all groups
+    def _graph(self, pairs: Indices, weights: Array) -> Any:  # with an additional node, linked to all groups
         from scipy.sparse import coo_array
 
         return coo_array((weights, tuple(pairs.T)), shape=(self.n_particles + 1, self.n_particles + 1)).tocsr()

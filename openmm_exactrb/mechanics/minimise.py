@@ -49,13 +49,13 @@ def minimised(
 ) -> BodyState:
     """Return the state at a minimum of the potential energy, with the momenta of the start.
 
-    Coordinates are the displacement and the rotation exp(theta) of each body relative to its start; theta is multiplied
-    by the radius of gyration. The method is L-BFGS-B: Zhu, Byrd, Lu and Nocedal, doi:10.1145/279232.279236. If a search
-    ends above the tolerance, for example because of the huge forces of an overlap, another search starts at the best
-    position found. The tolerance, in kJ/mol/nm, limits the largest component of a force, and of a torque divided by the
-    radius of gyration. The argument `iterations` limits the number of iterations of all searches together; 0 means no
-    limit. A NonFiniteError is raised if the energy or a force at the start is not finite, and a MinimisationWarning is
-    issued if the energy stops falling before a search reaches the tolerance.
+    Coordinates are the displacement and the rotation exp(theta) of each body relative to its start, where theta is
+    multiplied by the radius of gyration. The method is L-BFGS-B: Zhu, Byrd, Lu and Nocedal, doi:10.1145/279232.279236.
+    If a search ends above the tolerance, for example because of the huge forces of an overlap, another search starts at
+    the best position found. The tolerance, in kJ/mol/nm, limits the largest component of a force, and of a torque
+    divided by the radius of gyration. The argument `iterations` limits the number of iterations of all searches
+    together; 0 means no limit. A NonFiniteError is raised if the energy or a force at the start is not finite. A
+    MinimisationWarning is issued if the energy stops falling before a search reaches the tolerance.
     """
     if not all(np.isfinite(np.sum(part)) for part in landscape(start)):
         closest = f" (the closest are {closest_pair(start, box)})" if len(bodies) > 1 else ""
@@ -90,7 +90,7 @@ def _searched(
     unit: float,
 ) -> tuple[BodyState, float]:
     """Search from the best position, with coordinates in a unit (nm); return the last state and its largest force."""
-    from scipy.optimize import minimize  # here, for a short import of the package
+    from scipy.optimize import minimize  # imported here, because it is slow to import
 
     start = search.state
     n, k = len(bodies), bodies.n_turning

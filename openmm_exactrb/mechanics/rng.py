@@ -1,16 +1,16 @@
 """Counter-based random numbers, which depend only on the seed, the step and the stream.
 
 The generator is NumPy's Philox4x64-10: J. K. Salmon, M. A. Moraes, R. O. Dror and D. E. Shaw (2011),
-doi:10.1145/2063384.2063405. It encrypts a counter of 256 bits with a key of 128 bits, and has no other state. In words
-of 64 bits, the lowest first, the layout is::
+doi:10.1145/2063384.2063405. The generator encrypts a counter of 256 bits with a key of 128 bits, and has no other
+state. In words of 64 bits, the lowest first, the layout is::
 
     key     = (seed, 0)
     counter = (0, 0, stream, step)
 
 Seed and step are encoded as signed integers. Each value of the counter yields a block of four words. In an array (...,
-N), the counter of body n has the lowest word n + 1; the second word numbers further blocks if the array has more than
+N), the counter of body n has the lowest word n + 1. The second word numbers further blocks if the array has more than
 four rows. Hence a number does not depend on how many others were drawn before it, on where a run was interrupted, or on
-the engine that performs the step: kernels/random.cl of the device engine generates the same numbers. The stream is the
+the engine that performs the step. In the device engine, kernels/random.cl generates the same numbers. The stream is the
 index of the substep in the step times `PURPOSES`, plus the purpose.
 
 Normal variates are computed from neighbouring words by the method of G. E. P. Box and M. E. Muller (1958),
@@ -33,7 +33,7 @@ from openmm_exactrb.support.types import Array
 
 # Number of words in a block.
 _BLOCK = 4
-# Attempts at a gamma variate that are evaluated together: one in twenty fails.
+# Number of attempts at a gamma variate that are evaluated together; one in twenty fails.
 _ATTEMPTS = 8
 
 

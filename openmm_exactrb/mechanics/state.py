@@ -13,7 +13,7 @@ from openmm_exactrb.support.types import Array
 
 _S = TypeVar("_S")
 
-#: flow(state, tau) -> the state after the time tau; it may be the same object, and the argument is not modified.
+#: flow(state, tau) -> the state after the time tau. The result may be the same object; the argument is not modified.
 Flow = Callable[[_S, float], _S]
 #: Force (3, N) and body-frame torque (3, K).
 Force = tuple[Array, Array]

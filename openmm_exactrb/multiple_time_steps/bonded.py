@@ -34,7 +34,7 @@ LENNARD_JONES = re.compile(r"([\d.]+)\*epsilon\*\(\(sigma/r\)\^12-\(sigma/r\)\^6
 _PARTICLES = {openmm.PeriodicTorsionForce: slice(0, 4), openmm.CMAPTorsionForce: slice(1, 9)}
 # The lists of terms in the XML of a force; maps are listed as torsions.
 _LISTS = re.compile(r"<(Bonds|Angles|Torsions)>.*?</\1>", re.DOTALL)
-# These act between steps and exert no forces on atoms.
+# Forces of these types act between steps and exert no forces on atoms.
 _NO_FORCES = ("AndersenThermostat", "CMMotionRemover")
 _GROUPS = 32
 _CUSTOM = openmm.CustomBondForce, openmm.CustomAngleForce, openmm.CustomTorsionForce

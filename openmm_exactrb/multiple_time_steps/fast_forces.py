@@ -23,15 +23,15 @@ from openmm_exactrb.support.checks import whole
 from openmm_exactrb.support.warn import warn
 
 # Inner schemes, and the longest time between two kicks by the fast forces as a fraction of the period of the fastest
-# bond or angle: for outer schemes of order 2, for those of higher order or with force gradients, and for those of order
-# 2 with a heat exchange within the step. High-order outer schemes need a finer inner scheme: with S2_2, or with
-# SRKN4_6b at 20 kicks per period, the inner error dominated at 2000 outer force evaluations per ps (docs: Any
-# molecule). Schemes with a heat exchange within the step serve for averages, for which the energy error matters less:
-# with 0.08, the mean energy of the fastest bond is half a percent too low, and the mean energies of other bonds deviate
+# bond or angle. The pairs are for outer schemes of order 2, for those of higher order or with force gradients, and for
+# those of order 2 with a heat exchange within the step. High-order outer schemes need a finer inner scheme: with S2_2,
+# or with SRKN4_6b at 20 kicks per period, the inner error dominated at 2000 outer force evaluations per ps (docs: Any
+# molecule). Schemes with a heat exchange within the step serve for averages, for which the energy error matters less.
+# With 0.08, the mean energy of the fastest bond is half a percent too low, and the mean energies of other bonds deviate
 # less.
 _SECOND_ORDER, _HIGHER_ORDER, _WITH_HEAT_EXCHANGE = ("S2_2", 0.05), ("SRKN4_6b", 0.0125), ("S2_2", 0.08)
 # The longest time between force evaluations, as a fraction of the fastest period, at which every scheme shows its order
-# and a small error without inner steps: 1.5 fs if bonds to hydrogen are constrained, otherwise 0.6 fs.
+# and a small error without inner steps. It is 1.5 fs if bonds to hydrogen are constrained, otherwise 0.6 fs.
 _LONGEST_PLAIN = 1.0 / 16.0
 
 _NO_PERIOD = (
@@ -50,8 +50,8 @@ class MultipleTimeSteps:
     Attributes
     ----------
     fast : "auto", "bonded" or tuple of int
-        With "auto", bonded forces and exceptions are fast where this is useful; with "bonded", they are always fast. A
-        tuple contains the fast force groups.
+        With "auto", bonded forces and exceptions are fast where inner steps are useful; with "bonded", they are always
+        fast. A tuple contains the fast force groups.
     scheme : Scheme or None
         Scheme of the inner steps; None for the default of the outer scheme.
     steps : int or None
@@ -76,10 +76,10 @@ class MultipleTimeSteps:
             steps = whole(steps, "innerSteps")
         if fast is None:
             if scheme or steps:
-                raise ValueError('inner and innerSteps need fast forces: set them with fast="bonded", for example')
+                raise ValueError('inner= and innerSteps= need fast forces: set fast= too, such as fast="bonded"')
             return None
         if isinstance(fast, str) and fast == AUTO and (scheme or steps):
-            fast = BONDED  # settings of inner steps are a request for them
+            fast = BONDED  # settings of inner steps request inner steps
         return cls(fast if isinstance(fast, str) and fast in (AUTO, BONDED) else _groups(fast), scheme, steps)
 
     @property
@@ -207,12 +207,12 @@ def _bonded(system: openmm.System, bodies: RigidBodies, settings: MultipleTimeSt
         return FastForces(settings, frequency, excerpt) if frequency and others(system) else None
     if excerpt is None:
         raise ValueError(
-            "the System has no bonded forces that move anything, so there is nothing to integrate with inner steps: "
+            "the System has no bonded forces that change its motion, so that inner steps have no use: "
             "omit fast=, inner= and innerSteps="
         )
     if not others(system):
         raise ValueError(
-            "all forces of the System are bonded, so there is nothing left for longer steps: omit fast=, inner= and "
+            "all forces of the System are bonded, so that no forces remain for the outer steps: omit fast=, inner= and "
             "innerSteps="
         )
     if settings.steps is None and not frequency:
@@ -230,7 +230,9 @@ def _of_groups(system: openmm.System, settings: MultipleTimeSteps) -> FastForces
         )
         return None
     if present <= set(groups):
-        raise ValueError("fast names all forces of the System and leaves no force for longer steps: name fewer groups")
+        raise ValueError(
+            "fast= names all forces of the System, so that no forces remain for the outer steps: name fewer groups"
+        )
     frequency = fastest(system, groups)
     if not frequency and settings.steps is None:
         warn(f"{_NO_INNER_STEPS}{_NO_PERIOD}")

@@ -1,8 +1,8 @@
 """Drifts that include fast forces, in a Context: the inner steps of multiple time stepping.
 
-The drift of the outer scheme is the flow of the kinetic energy and of a fast potential, and is itself split: see M.
-Tuckerman, B. J. Berne and G. J. Martyna, J. Chem. Phys. 97, 1990 (1992), doi:10.1063/1.463137. Bodies on which the fast
-potential does not act have a single drift.
+The drift of the outer scheme is the flow of the kinetic energy and of a fast potential, and is itself split by the
+method of M. Tuckerman, B. J. Berne and G. J. Martyna, J. Chem. Phys. 97, 1990 (1992), doi:10.1063/1.463137. Bodies on
+which the fast potential does not act have a single drift.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ class InnerDrift:
         return inner_steps(_followed_by(own.moved, self._free.drift), fast_kick, inner, repetitions), fast
 
     def _of_others(self, kinetic: Kinetic) -> Flow[State]:
-        """Return a drift that is valid for bodies outside of the excerpt.
+        """Return a drift that is valid for bodies outside the excerpt.
 
         If possible, this is the drift of rigid bodies, which is cheaper.
         """

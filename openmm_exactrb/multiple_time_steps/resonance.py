@@ -23,10 +23,10 @@ from openmm_exactrb.support.warn import warn
 
 # Stiffness of slow forces in kJ/mol/nm²: that of hydrogen in water, whose librations have a frequency of 112/ps.
 _SLOW = 112.0**2
-# The relevant growth rate of amplitudes in 1/ps, which friction of 5/ps compensates.
+# Growth rate of amplitudes (1/ps) above which a resonance is relevant; friction of 5/ps compensates this rate.
 _GROWTH = 2.5
-# The period of the fastest normal mode of alanine dipeptide relative to that of its fastest isolated bond or angle, and
-# the largest mass (amu) of an atom whose bond is a mode of its own: hydrogen, also if made heavier.
+# The period of the fastest normal mode of alanine dipeptide relative to that of its fastest isolated bond or angle. The
+# second number is the largest mass (amu) of an atom whose bond is a separate mode: hydrogen, also if made heavier.
 _COUPLED, _LIGHT = 0.8, 4.0
 _HEAVY = 2.5  # in amu; hydrogen and deuterium below this mass could be made heavier
 _HARMONICS = 6
@@ -82,9 +82,9 @@ class Resonances:
     def first(self, scheme: Scheme) -> Resonance | None:
         """Return the resonance of a scheme at the shortest step, or None if no resonance is relevant.
 
-        A slow spring s in the kicks raises the square of the frequency w by s/m, and the mode is driven if w is within
-        the growth rate of k pi/h. Both effects are proportional to s/m, so a bond that is softer than the slow forces
-        is irrelevant.
+        A slow spring s in the kicks raises the square of the frequency w by s/m. The mode is driven if w is within the
+        growth rate of k pi/h. Both effects are proportional to s/m, so a bond that is softer than the slow forces is
+        irrelevant.
         """
         rates, found = np.array([growth(scheme, k) for k in range(1, _HARMONICS + 1)]), []
         for frequency, particles in self._modes:
@@ -109,7 +109,7 @@ class Resonances:
         what = "bond" if len(found.particles) == 2 else "angle"
         particles = ", ".join(map(str, found.particles))
         warn(
-            f"with steps of {1e3 * step:.3g} fs the slow forces may heat the motion within the drifts: from "
+            f"with steps of {1e3 * step:.3g} fs the slow forces may heat the motion within the drifts. From "
             f"{1e3 * found.step:.3g} fs on, {scheme.name} is near a resonance with the {what} of particles "
             f"{particles}, whose period is about {1e3 * found.period:.3g} fs. Use at most "
             f"{1e3 * found.below(scheme):.1f} fs per force evaluation, {self._remedy(found.particles)}or monitor the "

@@ -16,7 +16,7 @@ def _closed(name: str) -> Any:
     def raising(self: Any, *arguments: Any, **options: Any) -> Any:
         if self._made:
             raise ValueError(
-                f"{type(self).__name__} has no {name}(): its steps are made by a Scheme and not by a program, so put a "
+                f"{type(self).__name__} has no {name}(): its steps are defined by a Scheme, so put a "
                 "Substep of your own into the sequence of a Scheme (docs: For contributors, A substep)"
             )
         return method(self, *arguments, **options)

@@ -15,7 +15,7 @@ _SETTINGS = ("ConstraintTolerance", "KineticEnergyExpression", "RandomNumberSeed
 def rebind(context: Any, integrator: openmm.CustomIntegrator, program: openmm.CustomIntegrator) -> None:
     """Replace the program of an integrator in its Context.
 
-    OpenMM's C++ objects are replaced, as by ``reinitialize``; the Python objects and all references to them remain. The
+    OpenMM's C++ objects are replaced, as by ``reinitialize``. The Python objects and all references to them remain. The
     state of the Context and the values of global variables that both programs have are preserved. The integrator that
     provided the new program has no Context, and cannot be used afterwards.
     """

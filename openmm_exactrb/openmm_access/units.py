@@ -60,11 +60,11 @@ def gas_constant_times(temperature: float | unit.Quantity) -> float:
 
 
 def check_first_arguments(step: Any, scheme: Any) -> None:
-    """Raise ValueError if the first arguments of ExactRigidBodyIntegrator are those of one with a thermostat."""
+    """Raise ValueError if the first arguments of ExactRigidBodyIntegrator are a temperature and a friction."""
     warm = unit.is_quantity(step) and step.unit.is_compatible(unit.kelvin)
     if warm or unit.is_quantity(scheme) or isinstance(scheme, (int, float)):
         raise ValueError(
             "ExactRigidBodyIntegrator takes a step size and the name of a scheme, such as "
             "ExactRigidBodyIntegrator(0.004*picoseconds, 'S2_2'), and no temperature or friction: "
-            "ExactRigidBodyLangevinIntegrator takes those"
+            "use ExactRigidBodyLangevinIntegrator with these"
         )

@@ -150,7 +150,7 @@ def _chosen(kernel: str, *, needs_compiled: bool) -> str:
         raise ValueError(f"unknown kernel {kernel!r}: choose one of auto, openmm, bonds, compiled")
     if needs_compiled and kernel not in ("auto", "compiled"):
         raise ValueError(
-            "only the compiled kernel has an Ewald sum in one force: use kernel='compiled', or "
+            "only the compiled kernel computes an Ewald sum in a single force: use kernel='compiled', or "
             "dipole_rod_forces for two forces, or boundary=ReactionField()"
         )
     return "compiled" if kernel == "auto" else kernel

@@ -38,7 +38,7 @@ class EwaldParameters(NamedTuple):
     k_max: float  #: largest wave number of the direct sum, 0 for a mesh
     order: int  #: order of the splines of a mesh, 0 for the direct sum
     points: tuple[int, ...]  #: numbers of mesh points along the edges, () for the direct sum
-    error: float  #: estimated error, defined as `tolerance` and at most equal to it
+    error: float  #: estimated error, relative as for `tolerance`, and at most the tolerance
 
 
 def direct(n: int, edges: Edges, cutoff: float, switch: float, tolerance: float) -> EwaldParameters:

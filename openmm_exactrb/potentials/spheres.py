@@ -40,7 +40,7 @@ def cutoff_in(
     if edges is None:
         if cutoff is not None or switch is not None or shifted:
             raise ValueError(
-                "sphere_cutoff, sphere_switch and shifted are for a periodic box: add boundary=ReactionField() or "
+                "sphere_cutoff, sphere_switch and shifted need a periodic box: add boundary=ReactionField() or "
                 "boundary=Ewald()"
             )
         return None
@@ -73,7 +73,7 @@ def long_range_correction(
     spheres = None if wca else cutoff_in(edges, sigma, sphere_cutoff, sphere_switch, shifted=shifted)
     if spheres is None:
         raise ValueError(
-            "long_range_correction is only for spheres in a periodic box without wca: omit long_range_correction="
+            "long_range_correction needs spheres in a periodic box, without wca: omit long_range_correction="
         )
     of_repulsion, of_attraction = (2.0 * np.pi * n**2 * _beyond(spheres, p) for p in (12, 6))
     attracts = f" - {float(of_attraction)!r}*soft_attraction" if attraction else ""

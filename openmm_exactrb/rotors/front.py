@@ -72,7 +72,7 @@ def free_rotor(
     n = int(np.prod(shape))
     flow = rotor(method, inertia)
     attitudes = _normalised(_columns(q, n, 4))
-    with np.errstate(all="ignore"):  # what is not finite stays in its own body
+    with np.errstate(all="ignore"):  # non-finite numbers affect only their own body
         q1, m1 = flow(attitudes, _columns(m, n, 3), np.broadcast_to(t, (n,)))
     return np.ascontiguousarray(q1.T).reshape(*shape, 4), np.ascontiguousarray(m1.T).reshape(*shape, 3)
 

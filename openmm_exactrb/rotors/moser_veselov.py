@@ -50,7 +50,7 @@ def rotor(order: int) -> Callable[[Array], Flow]:
             # Powers of two avoid over- and underflow of the squares of momenta.
             exponent = np.frexp(np.abs(m).max(axis=0))[1]
             unit, h = np.ldexp(m, -exponent), np.ldexp(t / scale, exponent)
-            with np.errstate(all="ignore"):  # a step far too long overflows, and is reported
+            with np.errstate(all="ignore"):  # numbers overflow if a step is far too long, which is reported
                 inverse = _modified(moments, series, unit, h)
                 angle, converged = _iterate(inverse, unit, h)
                 turn, unit1 = _step(angle, unit)

@@ -40,7 +40,7 @@ class Checkpoint(NamedTuple):
             was, now = self.identity.get(name, "not there"), identity.get(name, "not there")
             if was != now:
                 raise ValueError(
-                    f"{file} belongs to another run, in which {name} was {was}, but is {now} now: change this back, "
+                    f"{file} belongs to another run, in which {name} was {was}, but is {now} now: restore this value, "
                     "use another folder, or overwrite the run (overwrite=True or --overwrite)"
                 )
 
@@ -69,7 +69,10 @@ def read(file: Path) -> Checkpoint:
     head, _, body = file.read_bytes().partition(b"\n")
     words = head.rsplit(b" ", 2)
     if len(words) == 3 and words[0] == _MAGIC and words[1] != FORMAT:
-        raise ValueError(f"{file} was written by another version of openmm-exactrb: resume the run with that version")
+        raise ValueError(
+            f"{file} was written by another version of openmm-exactrb, in format {words[1].decode(errors='replace')!r} "
+            f"instead of {FORMAT.decode()!r}: resume the run with that version"
+        )
     if words != [_MAGIC, FORMAT, hashlib.sha256(body).hexdigest().encode()]:
         raise ValueError(
             f"{file} is damaged, or not a checkpoint: use another folder, or overwrite the run "

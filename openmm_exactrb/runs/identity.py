@@ -17,7 +17,7 @@ _LONGEST = 100  # characters of a value in a message
 
 
 def identity_of(simulation: Any) -> dict[str, str]:
-    """Return all values that determine the bits of a run, by name; the call fixes shapes of bodies named by hand."""
+    """Return all values that determine a run to the last bit; the call fixes the shapes of bodies named by hand."""
     integrator = simulation.integrator
     identity = {
         "openmm": openmm.__version__,
@@ -36,7 +36,7 @@ def identity_of(simulation: Any) -> dict[str, str]:
 def _text_of_system(system: openmm.System) -> str:
     try:
         content = openmm.XmlSerializer.serialize(system)
-    except Exception as error:  # a PythonForce raises any error of pickle for its function
+    except Exception as error:  # serialising a PythonForce may raise any error of pickle
         raise ValueError(
             f"the System of a run must be one that OpenMM can serialise ({error}): replace the force that cannot be "
             "serialised"
@@ -54,7 +54,7 @@ def setting_text(value: Any) -> str:
 
 def _settings(integrator: ExactRigidBodyIntegrator) -> dict[str, str]:
     given = {name: value for group in integrator.getSettings().values() for name, value in group.items()}
-    given.pop("checkDivergence")  # has no effect on the bits
+    given.pop("checkDivergence")  # does not affect the trajectory
     settings = {name: setting_text(value) for name, value in given.items()}
     settings["engine"] = integrator.getEngine()
     if integrator.getNamedBodies() is not None:

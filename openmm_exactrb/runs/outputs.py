@@ -119,7 +119,7 @@ def _described(factory: Callable[..., Any]) -> str:
 
 
 def _state(simulation: Any, request: Any) -> Any:
-    """Return a State with all data; positions are wrapped if the request of a reporter, a dict or tuple, says so."""
+    """Return a State with all data; positions are wrapped if the request (dict or tuple) of a reporter asks for it."""
     wrapped = request.get("periodic") if isinstance(request, dict) else (*request, None)[5]
     if wrapped is None:
         wrapped = simulation.system.usesPeriodicBoundaryConditions()

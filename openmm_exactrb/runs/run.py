@@ -28,7 +28,7 @@ from openmm_exactrb.support.checks import not_negative, whole
 
 _OPTIONS = ("out", "overwrite", "resume", "checkpoint")
 _RESUME = "resume the run (resume=True or --resume)"
-# Steps between two checks of signals and the clock, as many as Simulation.step performs in one call.
+# Steps between two checks of signals and the clock, as many as Simulation.step performs in one call of the integrator.
 _CHUNK = 10
 
 

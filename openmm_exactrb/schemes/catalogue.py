@@ -24,16 +24,16 @@ _VERLET = "L. Verlet, Phys. Rev. 159, 98 (1967), doi:10.1103/PhysRev.159.98"
 _MCLACHLAN = "R. I. McLachlan, SIAM J. Sci. Comput. 16, 151 (1995), doi:10.1137/0916010"
 _HMC = "S. Blanes, F. Casas and J. M. Sanz-Serna, SIAM J. Sci. Comput. 36, A1556 (2014), doi:10.1137/130932740"
 # Found by random searches and Nelder-Mead minimisation of the energy error of droplets of rigid water, from initial
-# states that were used for nothing else: benchmarks/schemes/search.py.
+# states that no other benchmark uses: benchmarks/schemes/search.py.
 _TUNED = "openmm-exactrb, tuned on rigid water at {} fs per force evaluation"
-# Of the schemes with three forces that stay stable beyond half a period of an oscillator, the one with equal shadow
-# energies of fast and slow modes at 4 to 6 fs per force: benchmarks/water/shadow.py.
+# The scheme with equal shadow energies of fast and slow modes at 4 to 6 fs per force evaluation, among schemes with
+# three force evaluations that are stable beyond half a period of an oscillator: benchmarks/water/shadow.py.
 _EQUIPARTITION = "openmm-exactrb, for equipartition of rigid water at 4 to 6 fs per force evaluation"
-# Least-squares fit of momenta and positions to the canonical distribution, over 40 to 220/ps:
+# Least-squares fit of momenta and positions to the canonical distribution, for modes of 40 to 220/ps:
 # benchmarks/water/shadow.py.
 _CANONICAL = "openmm-exactrb, for the canonical distribution of rigid water at 4 fs per force evaluation"
-# Changes of coordinates that leave only the part of a kernel's error that no change removes, for the frequencies of
-# rigid water: benchmarks/schemes/processors.py.
+# Changes of coordinates that remove all of a kernel's error that such a change can remove, for the frequencies of rigid
+# water: benchmarks/schemes/processors.py.
 _PROCESSOR = "{}; the processor is of openmm-exactrb"
 _OMELYAN = (
     "I. P. Omelyan, I. M. Mryglod and R. Folk, Comput. Phys. Commun. 146, 188 (2002), doi:10.1016/S0010-4655(02)00451-4"
@@ -111,7 +111,7 @@ _SCHEMES = (
         b=(0.08477656200969587785212352836804759, 0.65654407453874424357010313964426243),
         reference=_TUNED.format(1),
     ),
-    # A variant of SRKN4_6b with a smaller error at steps that are not short.
+    # A variant of SRKN4_6b with a smaller error at long steps.
     symmetric(
         "W4_6",
         order=4,
@@ -269,10 +269,10 @@ _SCHEMES = (
     ),
     corrected(_V2_DRIFT, 8, "V2_C17", (18, 2)),
     *FORCE_GRADIENT,
-    # Near the force-gradient scheme of this pattern that has order 4 and the smallest error constant there.
+    # Coefficients near those of the fourth-order scheme of this pattern with the smallest error constant.
     force_gradient("W2_5", "BACACAB", order=2, a=(0.28756,), b=(0.09363,), e=(0.01434,), reference=_TUNED.format(2)),
     # The scheme of this pattern whose shadow energy is nearest to the energy for all modes of rigid water at 4 fs per
-    # force.
+    # force evaluation.
     force_gradient("W2_4g", "ABACABA", order=2, a=(0.08209,), b=(0.24119,), e=(0.025308,), reference=_CANONICAL),
     processed(
         _V2_DRIFT,

@@ -20,7 +20,7 @@ from openmm_exactrb.schemes.scheme import Scheme, palindrome
 from openmm_exactrb.schemes.sequence import merged
 from openmm_exactrb.substeps import DRIFT, KICK, GradientKick, Substep
 
-#: The factor k of the change of forces: with single-precision forces, 8 affects the energy noticeably, 4 does not.
+#: The factor k of the change of forces. With single-precision forces, 8 increases the energy error, and 4 does not.
 MAGNIFICATION = 4.0
 
 _TAKAHASHI_IMADA = "M. Takahashi and M. Imada, J. Phys. Soc. Jpn. 53, 3765 (1984), doi:10.1143/JPSJ.53.3765"

@@ -71,8 +71,8 @@ class Scheme:
             if not (isinstance(row, tuple) and len(row) == 2 and isinstance(row[0], Substep)):
                 raise ValueError(
                     f"scheme {self.name}: a sequence consists of pairs of a Substep and its fraction of the step, "
-                    f"not {row!r}; "
-                    'schemes.spelled("B A B") makes one from symbols'
+                    f"not {row!r}: "
+                    'schemes.spelled("B A B") returns one for symbols'
                 )
 
     def __repr__(self) -> str:

@@ -29,8 +29,8 @@ from openmm_exactrb.substeps import Drift, GradientKick, HeatExchange, Kick
 class SecondOrder(NamedTuple):
     """Coefficients of the second-order error of a splitting, in units of the squared step."""
 
-    alpha: float  #: of v·V''v in the conserved energy
-    beta: float  #: of f·M⁻¹f in the conserved energy
+    alpha: float  #: coefficient of v·V''v in the conserved energy
+    beta: float  #: coefficient of f·M⁻¹f in the conserved energy
     late: float  #: y, the drifts between the heat exchange and the end of a step
     pushed: float  #: the displacement by kicks between the heat exchange and the end of a step, in h² M⁻¹f
     inner: float  #: y of bodies with inner steps: 0 where `thermostatted.canonical_momenta` defers their drifts

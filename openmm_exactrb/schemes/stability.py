@@ -20,7 +20,7 @@ def stability_limit(scheme: Scheme) -> float:
     """Return the largest step, in units of 1/omega, for which a harmonic oscillator is stable.
 
     It is the last multiple of 1e-4 before the trace of the matrix of a step leaves [-2, 2]. Points where two stable
-    intervals meet are ignored if the trace exceeds this interval by less than 1e-6.
+    intervals meet are ignored if the trace exceeds [-2, 2] by less than 1e-6.
 
     Raises
     ------

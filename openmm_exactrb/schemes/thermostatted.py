@@ -44,8 +44,8 @@ def _three_kicks(outer: float) -> Sequence:
 
 
 #: Splittings with a thermostat within them, by name. Those of Leimkuhler and Matthews need one force per step, as does
-#: BAOA, the splitting of OpenMM's LangevinMiddleIntegrator. With an outer drift of 0.135 the momenta of W2_3m next to
-#: the thermostat are canonical within half a percent up to 160/ps at 6 fs a force, and positions at the end of a step,
+#: BAOA, the splitting of OpenMM's LangevinMiddleIntegrator. With an outer drift of 0.135, momenta of W2_3m next to the
+#: thermostat are canonical within 0.5 % up to 160/ps at 6 fs per force evaluation. Positions at the end of a step, at
 #: `reading_point` after the thermostat, are canonical to fourth order: tests/schemes/test_thermostatted.py.
 WITH_THERMOSTAT: Mapping[str, Scheme] = MappingProxyType(
     {

@@ -44,8 +44,8 @@ def ellipsoids(
     Parameters
     ----------
     n : int
-        Number of ellipsoids, which are parallel to z and on a close-packed lattice stretched along z. The lattice has
-        no vacancies for 4 k² l ellipsoids, with k about kappa times l: 36, 288 or 972 for kappa = 3.
+        Number of ellipsoids. They are parallel to z, on a close-packed lattice stretched along z. The lattice has no
+        vacancies for 4 k² l ellipsoids, with k about kappa times l: 36, 288 or 972 for kappa = 3.
     seed : int
         Seed of the positions of vacancies in the lattice, and of the angles about the axes.
     kappa : float
@@ -134,8 +134,8 @@ def _lattice(n: int, rng: np.random.Generator, box: float, kappa: float) -> Arra
     k, m = layers[int(np.argmax(room))]
     if max(room) < _CLOSEST:
         raise ValueError(
-            f"{n} parallel ellipsoids do not fit on a lattice at this density: the nearest neighbours would "
-            f"be at {max(room):.2f} of the distance at which they touch; use a lower density, or another n"
+            f"{n} parallel ellipsoids do not fit on a lattice at this density, where nearest neighbours would "
+            f"be at {max(room):.2f} of the distance at which they touch: use a lower density, or another n"
         )
     cells = np.array(list(itertools.product(range(k), range(k), range(m))), dtype=np.float64)
     places = ((cells[:, None] + _CELL) / (k, k, m)).reshape(-1, 3)

@@ -24,7 +24,7 @@ _MOMENT = unit.dalton * unit.nanometer**2
 _STIFFNESS = unit.kilojoule_per_mole / unit.nanometer**2
 # Least ratio of the smallest to the largest moment: in thinner bodies distances between sites have too few digits.
 _THINNEST = 1e-6
-#: Distance in nm at which two head-to-tail dipoles of the paper bind: r^9 = 4.
+#: Distance in nm at which two head-to-tail dipoles of Celledoni et al. (doi:10.1137/070704393) bind: r^9 = 4.
 BINDING_DISTANCE = 4.0 ** (1.0 / 9.0)
 
 _TRIANGLE = np.array([[1.0, 0.0], [-0.5, 0.75**0.5], [-0.5, -(0.75**0.5)]]) * 2.0**0.5
@@ -58,8 +58,8 @@ def rigid_sites(mass: float | unit.Quantity, inertia: ArrayLike | unit.Quantity)
     moments = checks.array(each, "inertia", "three positive moments in amu nm²")
     if moments.shape != (3,) or not (np.isfinite(moments).all() and (moments > 0.0).all()):
         raise ValueError(
-            f"inertia must be three positive moments in amu nm², because a linear body cannot carry this dipole, not "
-            f"{inertia!r}"
+            f"inertia must be three positive moments in amu nm², not {inertia!r}, because a linear body cannot carry "
+            "this dipole"
         )
     mass = checks.positive(stripped(mass, unit.dalton), "mass", "amu")
     if moments.min() < _THINNEST * moments.max():
@@ -102,7 +102,7 @@ def dipole_fluid(
     long_range_correction: bool | None = None,
     kernel: str = "auto",
 ) -> tuple[app.Topology, openmm.System, unit.Quantity]:
-    """Build soft dipolar spheres: a droplet, as in section 3.4 of the paper, or a liquid in a periodic box.
+    """Build soft dipolar spheres: a droplet, as in section 3.4 of Celledoni et al., or a liquid in a periodic box.
 
     Arguments are numbers in the units stated below, or Quantities.
 
@@ -138,7 +138,7 @@ def dipole_fluid(
         Spheres per nm³ in the box; by default 0.8/sigma³, a liquid.
     sphere_cutoff, sphere_switch : float, optional
         Cutoff of the energy of two spheres in the box and start of its switch, in nm. The default cutoff is 3 sigma, or
-        half the edge of the box if that is less; the switch begins at three quarters of the cutoff. Both are
+        half the edge of the box if that is less. The switch begins at three quarters of the cutoff. Both are
         independent of the cutoff of the dipoles, which the boundary defines.
     shifted : bool
         Whether to subtract the energy of two spheres at the cutoff from their energy.
@@ -235,11 +235,11 @@ def _box(n: int, sigma: float, density: float | None, trap: float, boundary: Bou
     """Return the edge of the cubic box of a liquid (nm), or None for a droplet."""
     if not checked(boundary).periodic:
         if density is not None:
-            raise ValueError("density is for a periodic box: add boundary=ReactionField() or boundary=Ewald()")
+            raise ValueError("density needs a periodic box: add boundary=ReactionField() or boundary=Ewald()")
         return None
     density = 0.8 / sigma**3 if density is None else checks.positive(density, "density", "spheres a nm³")
     if trap > 0.0:
-        raise ValueError("trap is for a droplet: omit it for a periodic liquid")
+        raise ValueError("trap= applies only to a droplet: omit trap= for a periodic liquid")
     return float((n / density) ** (1.0 / 3.0))
 
 
@@ -291,8 +291,8 @@ def _body_fixed_site(particles: list[int], sites: Array, place: Array) -> openmm
     return openmm.OutOfPlaneSite(*particles[:3], *map(float, weights))
 
 
-# Products with a weight of exactly 1/3 are rounded with a bias, so that the forces that OpenMM distributes from a site
-# have a torque of 1e-14 with a nonzero mean. With other weights the rounding errors average out.
+# Products with a weight of exactly 1/3 are rounded with a bias. The forces that OpenMM distributes from a site would
+# then have a torque error of 1e-14 with a nonzero mean. With other weights the rounding errors average out.
 _OFF_FRACTIONS = np.array([3e-14, -5e-14, 0.0])
 
 

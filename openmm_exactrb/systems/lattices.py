@@ -6,7 +6,7 @@ import numpy as np
 
 from openmm_exactrb.support.types import Array
 
-# Number of sites from which on fewer vectors are tried for a lattice.
+# From this number of sites on, fewer vectors are tried for a lattice.
 _MANY = 100
 
 
@@ -23,10 +23,10 @@ def cubic_lattice(n: int) -> Array:
 def filling(n: int) -> tuple[Array, float]:
     """Return n sites (n, 3) that fill a periodic cube without vacancies at density 1, and the edge of the cube.
 
-    The sites form a cubic lattice if n is a cube. Otherwise they are the multiples of a vector (1, a, b)/n, in units of
-    the edge. The vector is the first one whose multiples are at least as far apart as in a cubic lattice, or otherwise
-    the one with the largest shortest distance. For n of 100 or more, only b = a² is tried (Korobov; Sloan and Joe,
-    Lattice Methods for Multiple Integration, 1994).
+    The sites form a cubic lattice if n is a perfect cube. Otherwise they are the multiples of a vector (1, a, b)/n, in
+    units of the edge. The vector is the first one whose multiples are at least as far apart as in a cubic lattice, or
+    otherwise the one with the largest minimum distance. For n of 100 or more, only b = a² is tried (Korobov; Sloan and
+    Joe, Lattice Methods for Multiple Integration, 1994).
     """
     k = places_a_side(n)
     if k**3 == n:

@@ -22,11 +22,12 @@ def heavy_hydrogens(
     The mass of each molecule does not change. Librations of water and vibrations of angles with hydrogen become slower,
     which allows longer steps.
 
-    The dynamics changes: rotations, through the moments of inertia, vibrations of hydrogens, and, by several percent,
-    diffusion and viscosity. For rigid molecules, and for atoms without constraints, averages of functions of positions
-    do not depend on masses. If several bonds of one atom are constrained, as with HBonds, the distribution of the
-    angles between these bonds has a weight sqrt(det(J M^-1 J^T)) that depends on the masses. For two bonds of a carbon
-    with hydrogens of 3 amu, the weight amounts to 0.005 kT at 10 degrees from the tetrahedral angle.
+    The new masses change the dynamics of rotations, through the moments of inertia, and of vibrations of hydrogens.
+    Diffusion and viscosity change by several percent. For rigid molecules, and for atoms without constraints, averages
+    of functions of positions do not depend on masses. If several bonds of one atom are constrained, as with HBonds, the
+    distribution of the angles between these bonds has a weight sqrt(det(J M^-1 J^T)) that depends on the masses. For
+    two bonds of a carbon with hydrogens of 3 amu, the weight corresponds to 0.005 kT at 10 degrees from the tetrahedral
+    angle.
 
     Parameters
     ----------
@@ -70,14 +71,14 @@ def heavy_hydrogens(
             continue  # massless atoms do not move
         if hydrogen.index not in bearers:
             raise ValueError(
-                f"{_name(hydrogen)} is not bonded to a heavier atom in the Topology, from which its mass could come: "
+                f"{_name(hydrogen)} is not bonded to a heavier atom in the Topology that could supply its mass: "
                 "add the bond with topology.addBond, or make the molecule's hydrogens heavier with setParticleMass"
             )
         donor = bearers[hydrogen.index]
         if left[donor.index] == 0.0:
             raise ValueError(
-                f"{_name(hydrogen)} moves, but {_name(donor)}, to which it is bonded, has no mass to give: give both "
-                f"zero mass, or neither"
+                f"{_name(hydrogen)} has a mass, but {_name(donor)}, to which it is bonded, has none: set both masses "
+                f"to zero, or neither"
             )
         left[donor.index] -= wanted - left[hydrogen.index]
         left[hydrogen.index] = wanted

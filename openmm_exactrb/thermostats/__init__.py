@@ -1,7 +1,7 @@
 """Thermostats and the integrators that use them, one file for each thermostat.
 
 `Langevin`, `StochasticRescaling`, `NoseHooverChain` and `HybridMonteCarlo` are values of the argument ``thermostat`` of
-`openmm_exactrb.ExactRigidBodyIntegrator`; `CanonicalMomenta` draws all momenta at intervals.
+`openmm_exactrb.ExactRigidBodyIntegrator`. `CanonicalMomenta` draws all momenta at intervals.
 """
 
 from openmm_exactrb.thermostats.hybrid import ExactRigidBodyHybridIntegrator, HybridMonteCarlo

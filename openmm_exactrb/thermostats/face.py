@@ -56,7 +56,7 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         """Return the translational and rotational temperatures around the last heat exchange.
 
         They are means of the temperatures before and after the exchange. With "BAOAB" and "ABOBA" the exchange is in
-        the middle of a step, where the distribution of momenta is closer to canonical; `temperatures` and the
+        the middle of a step, where the distribution of momenta is closer to canonical. `temperatures` and the
         velocities of the Context, which are those at the end of the step, are biased.
 
         Raises
@@ -105,9 +105,10 @@ class HeatedIntegrator(ThermostattedIntegrator):
 
         The drift and the noise of this quantity are integration errors, of the order of the scheme. In contrast,
         `totalEnergy` is the energy at the end of the step. With a scheme that ends with a drift after the heat
-        exchange, such as the default, momenta lag behind positions at the end of the step, and `totalEnergy` fluctuates
-        by an amount proportional to the step size. A barostat, a ``CMMotionRemover`` and the setting of positions or
-        velocities also change the effective energy; with such a scheme, so does the setting of the step size.
+        exchange, such as the default, momenta lag behind positions at the end of the step. `totalEnergy` then
+        fluctuates by an amount proportional to the step size. A barostat, a ``CMMotionRemover`` and the setting of
+        positions or velocities also change the effective energy. With such a scheme, setting the step size changes it
+        too.
 
         Raises
         ------

@@ -1,9 +1,9 @@
 """Generalised hybrid Monte Carlo of rigid bodies: the canonical distribution at any step size.
 
-A splitting generates a proposal, Metropolis's rule accepts or rejects it, and momenta are reversed on rejection: A. M.
-Horowitz (1991), doi:10.1016/0370-2693(91)90812-5. A thermostat that preserves the canonical distribution acts between
-the proposals, so that the sampled distribution is correct at any step size. The splitting must be symmetric in time and
-preserve the volume of phase space.
+A splitting generates a proposal, the Metropolis test accepts or rejects the proposal, and momenta are reversed on
+rejection: A. M. Horowitz (1991), doi:10.1016/0370-2693(91)90812-5. A thermostat that preserves the canonical
+distribution acts between the proposals, so that the sampled distribution is correct at any step size. The splitting
+must be symmetric in time and preserve the volume of phase space.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Tally(NamedTuple):
 
 
 def accepts(rise: float, kT: float, u: float) -> bool:
-    """Return whether Metropolis's rule accepts a given rise of the total energy; u is uniform on (0, 1).
+    """Return whether the Metropolis test accepts a given rise of the total energy; u is uniform on (0, 1).
 
     A proposal with a rise of nan is rejected.
     """
@@ -45,7 +45,7 @@ def accepts(rise: float, kT: float, u: float) -> bool:
 
 @dataclass(frozen=True)
 class Metropolis(Substep):
-    """A proposal and its acceptance or rejection by Metropolis's rule.
+    """A proposal and its acceptance or rejection by the Metropolis test.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ class HybridMonteCarlo(Langevin):
         whole(self.stepsPerProposal, "stepsPerProposal")
 
     def kernel_exchange(self, tau: float, freedom: tuple[int, int]) -> None:  # type: ignore[override]
-        """Return None: Metropolis's rule needs energies on the host."""
+        """Return None, because the Metropolis test needs energies on the host."""
 
     def steps(self, scheme: Scheme) -> Scheme:
         """Return a scheme whose step is a proposal between two halves of the heat exchange."""
@@ -132,9 +132,9 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
     """Generalised hybrid Monte Carlo: averages without a step-size error.
 
     A step is a proposal between two halves of the heat exchange of `ExactRigidBodyLangevinIntegrator`
-    (doi:10.1016/0370-2693(91)90812-5). The splitting generates the proposal, a Metropolis test accepts or rejects it,
-    and momenta are reversed on rejection, so that the trajectory has no dynamical meaning. The distribution is
-    canonical at any step size, up to the errors of the platform's potential energy.
+    (doi:10.1016/0370-2693(91)90812-5). The splitting generates the proposal, a Metropolis test accepts or rejects the
+    proposal, and momenta are reversed on rejection, so that the trajectory has no dynamical meaning. The distribution
+    is canonical at any step size, up to the errors of the platform's potential energy.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """Langevin dynamics: friction and noise by the exact Ornstein-Uhlenbeck flow of momenta.
 
 Momenta are P (2, 3, N) in space and m (2, 3, K) in the body frame, as double-doubles of
-`openmm_exactrb.mathematics.compensated`; without low parts their shapes are (1, 3, N) and (1, 3, K). The first K of the
-N bodies rotate.
+`openmm_exactrb.mathematics.compensated`. Without low parts, their shapes are (1, 3, N) and (1, 3, K). The first K of
+the N bodies rotate.
 """
 
 from __future__ import annotations
@@ -172,10 +172,10 @@ def _fading(friction: float | Array, width: Array) -> _Fading:
 class ExactRigidBodyLangevinIntegrator(HeatedIntegrator):
     """Rigid-body Langevin dynamics: a splitting with an exact Ornstein-Uhlenbeck flow.
 
-    Friction and noise act on linear momenta and on angular momenta in the principal axes of each body; linear molecules
+    Friction and noise act on linear momenta and on angular momenta in the principal axes of each body. Linear molecules
     have two rotational degrees of freedom, and particles none. All other arguments and methods are those of
-    `ExactRigidBodyIntegrator`. A scheme of the catalogue is applied between two halves of the Ornstein-Uhlenbeck flow;
-    without friction the trajectory is bit-identical to that of `ExactRigidBodyIntegrator`.
+    `ExactRigidBodyIntegrator`. A scheme of the catalogue is applied between two halves of the Ornstein-Uhlenbeck flow.
+    Without friction, the trajectory is bit-identical to that of `ExactRigidBodyIntegrator`.
 
     Parameters
     ----------
@@ -189,10 +189,10 @@ class ExactRigidBodyLangevinIntegrator(HeatedIntegrator):
         A key of `openmm_exactrb.SCHEMES` for a scheme without a processor, a key of
         `openmm_exactrb.schemes.WITH_THERMOSTAT`, whose schemes contain the thermostat, or a scheme of your own. The
         default, "BAOA", is the splitting of LangevinMiddleIntegrator and evaluates the forces once per step. "W2_3m"
-        evaluates them three times per step; with it, the temperatures of translation and rotation of rigid water are
-        within 1 K of each other up to 6 fs per force evaluation (SPC/E, TIP4P/2005; friction 5/ps). With either scheme,
-        a step ends with a drift after the heat exchange. Since this drift would change the momenta of bodies with inner
-        steps, these bodies end the step at the heat exchange.
+        evaluates them three times per step. With this scheme, the temperatures of translation and rotation of rigid
+        water are within 1 K of each other up to 6 fs per force evaluation (SPC/E, TIP4P/2005; friction 5/ps). With
+        either scheme, a step ends with a drift after the heat exchange. Since this drift would change the momenta of
+        bodies with inner steps, these bodies end the step at the heat exchange.
     rotor : str or Rotor, optional
         A key of `openmm_exactrb.ROTORS`, or a `Rotor` of your own.
     rotationalFriction : float or Quantity, optional
@@ -214,7 +214,7 @@ class ExactRigidBodyLangevinIntegrator(HeatedIntegrator):
 
     Notes
     -----
-    `step` raises a ValueError if the System also has a thermostat, or a barostat of another temperature.
+    `step` raises a ValueError if the System also has a thermostat, or a barostat at another temperature.
 
     The noise depends only on the seed and the number of the step: use different seeds for independent trajectories.
     """

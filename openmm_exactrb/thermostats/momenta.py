@@ -16,8 +16,8 @@ class CanonicalMomenta:
     """Sample the canonical ensemble by drawing all momenta at intervals.
 
     Between two draws the run is at constant energy. This is Andersen's thermostat (J. Chem. Phys. 72, 2380 (1980))
-    applied to all bodies at once: static averages are canonical up to the error of the scheme, but time correlations
-    over more than an interval are not those of the system at constant energy.
+    applied to all bodies at once. Static averages are canonical up to the error of the scheme. Time correlations over
+    more than an interval differ from those at constant energy.
 
     Parameters
     ----------

@@ -3,8 +3,8 @@
 Translation and rotation have one chain each, or share one: G. J. Martyna, M. L. Klein and M. Tuckerman, J. Chem. Phys.
 97, 2635 (1992), doi:10.1063/1.463940. The flow of the chain and of the kinetic energy that it scales is computed by the
 time-reversible splitting of G. J. Martyna, M. E. Tuckerman, D. J. Tobias and M. L. Klein, Mol. Phys. 87, 1117 (1996),
-doi:10.1080/00268979600100761. It needs only the kinetic energies of the bodies, so that angular momenta are scaled in
-the same way as linear momenta.
+doi:10.1080/00268979600100761. The splitting needs only the kinetic energies of the bodies, so that angular momenta are
+scaled in the same way as linear momenta.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ _RATE = unit.picosecond**-1
 _YOSHIDA = 1.0 / (2.0 - 2.0 ** (1.0 / 3.0))
 _SUZUKI = 1.0 / (4.0 - 4.0 ** (1.0 / 3.0))
 _SIXTH = (0.78451361047755726382, 0.23557321335935813368, -1.17767998417887100695)
-#: Substeps of the chain by their number, of order 2, 4, 4 and 6: H. Yoshida (1990), doi:10.1016/0375-9601(90)90092-3,
-#: and M. Suzuki (1990), doi:10.1016/0375-9601(90)90962-N. The cubes of those of order 4 add up to zero. OpenMM, GROMACS
-#: and others have 2^(-1/3) and 4^(-1/3) instead of 2^(1/3) and 4^(1/3) for 3 and 5 substeps: with these weights, 0.829
-#: and 0.297, the cubes add up to 0.85 and 0.098, and the order is 2.
+#: Weights of the substeps of the chain by the number of substeps, of order 2, 4, 4 and 6: H. Yoshida (1990),
+#: doi:10.1016/0375-9601(90)90092-3, and M. Suzuki (1990), doi:10.1016/0375-9601(90)90962-N. The cubes of the weights of
+#: order 4 add up to zero. OpenMM, GROMACS and others have 2^(-1/3) and 4^(-1/3) instead of 2^(1/3) and 4^(1/3) for 3
+#: and 5 substeps. With these weights, 0.829 and 0.297, the cubes add up to 0.85 and 0.098, and the order is 2.
 WEIGHTS: Mapping[int, tuple[float, ...]] = {
     1: (1.0,),
     3: (_YOSHIDA, 1.0 - 2.0 * _YOSHIDA, _YOSHIDA),
@@ -152,14 +152,14 @@ class NoseHooverChain(Thermostat):
         return scale, moved
 
     def _pushed(self, chain: list[list[float]], kinetic: float, freedom: int, tau: float) -> tuple[float, Array]:
-        # Python floats are used because they are faster than short arrays. With the masses of the links, the
-        # acceleration of a link is frequency² times (r - 1), where r is the kinetic energy of the previous link over
-        # kT/2 or, for the first link, the kinetic energy of momenta with f degrees of freedom over f kT/2.
+        # Python floats are used because they are faster than short arrays. The acceleration of a link is frequency²
+        # times (r - 1). Here r is the kinetic energy of the previous link over kT/2 or, for the first link, the kinetic
+        # energy of momenta with f degrees of freedom over f kT/2.
         x, v = chain
         links, scale = range(len(v)), 1.0
         square, ratio = self.collisionFrequency**2, 2.0 * kinetic / (freedom * self._kT)
         below = [float(freedom), *[1.0] * len(v)]  # masses in units of that of the last link
-        v.append(0.0)  # of a link that does not exist, without drag
+        v.append(0.0)  # the velocity of a nonexistent further link, which exerts no drag
 
         def push(link: int, h: float) -> None:
             speed = v[link - 1]
@@ -186,7 +186,8 @@ class NoseHooverChain(Thermostat):
     def energy(self, values: Mapping[str, float], freedoms: tuple[int, int]) -> float:
         """Return the energy (kJ/mol) of the chains; the sum of this energy and that of the bodies is conserved.
 
-        It is computed from the values of `own_numbers`, for given translational and rotational degrees of freedom.
+        The energy is computed from the values of `own_numbers`, for given translational and rotational degrees of
+        freedom.
         """
         kT, total = self._kT, 0.0
         for chain, freedom in enumerate([sum(freedoms)] if self.together else freedoms):
@@ -210,7 +211,7 @@ class ExactRigidBodyNoseHooverIntegrator(ThermostattedIntegrator):
     Notes
     -----
     The default scheme is "BAOAB", whose steps are symmetric in time and evaluate forces once. Velocities at the end of
-    a step differ by half a kick from the velocities that the chains scale; the results of `temperatures` are therefore
+    a step differ by half a kick from the velocities that the chains scale. The results of `temperatures` are therefore
     below the temperature of the chains by an amount proportional to the square of the step.
     `temperaturesAroundThermostat` returns the temperatures of the chains.
 
@@ -248,8 +249,8 @@ class ExactRigidBodyNoseHooverIntegrator(ThermostattedIntegrator):
     def conservedEnergy(self) -> unit.Quantity:
         """Return the total energy at the last heat exchange plus the energy of the chains.
 
-        It is conserved to the same accuracy as the total energy of the scheme without a thermostat. A barostat or a
-        ``CMMotionRemover`` changes it, and so does setting positions or velocities.
+        This energy is conserved to the same accuracy as the total energy of the scheme without a thermostat. A barostat
+        or a ``CMMotionRemover`` changes it, and so does setting positions or velocities.
         """
         freedoms = self.degreesOfFreedom()
         values = {name: variables.get(self, name) for name in self._thermostat.own_numbers}

@@ -76,10 +76,10 @@ class StochasticRescaling(Thermostat):
 def rescaling(
     mass: Array, moments: Array, kT: float, time: float, freedom: tuple[int, int], together: bool
 ) -> Exchange:
-    """Return the exact flow of stochastic velocity rescaling; `time` is the relaxation time, tau in the paper.
+    """Return the exact flow of stochastic velocity rescaling; `time` is tau of Bussi et al., the relaxation time.
 
-    The total energy minus the heat is the effective energy of the paper. It is conserved to the same accuracy as the
-    total energy of the splitting without a thermostat. Momenta that are all zero have no direction and stay zero.
+    The total energy minus the heat is the effective energy of Bussi et al., which is conserved to the same accuracy as
+    the total energy of the splitting without a thermostat. Momenta that are all zero have no direction and stay zero.
     """
 
     def factor(part: int, kinetic: float, f: int, tau: float, at: Instant) -> float:
@@ -157,9 +157,9 @@ class ExactRigidBodyRescalingIntegrator(HeatedIntegrator):
 
     Notes
     -----
-    Momenta that are all zero stay zero: draw initial momenta with `setVelocitiesToTemperature`. This thermostat
-    preserves a total momentum of zero. If the forces of the System also preserve it, add a ``CMMotionRemover``, so that
-    three of the `degreesOfFreedom` are subtracted.
+    If all momenta are zero, rescaling leaves them zero: draw initial momenta with `setVelocitiesToTemperature`.
+    Rescaling also preserves a total momentum of zero. If the forces of the System preserve the total momentum too, add
+    a ``CMMotionRemover``, so that `degreesOfFreedom` excludes the three of the centre of mass.
     """
 
     _thermostat: StochasticRescaling

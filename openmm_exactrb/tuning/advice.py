@@ -65,7 +65,7 @@ def tune(
     """Find the cheapest scheme and step for an energy error, by measuring schemes on a system.
 
     The error is the standard deviation of the total energy within an NVE run of length `horizon`, in kJ/mol per body
-    (rigid bodies and single particles). Limits that apply to every scheme are reported first; if the target is less
+    (rigid bodies and single particles). Limits that apply to every scheme are reported first. If the target is less
     than half the error due to the forces, the search is skipped. Survey runs have the length `duration`, and their
     errors are extrapolated to the horizon using the growth of the variance. The recommended setting is then run over
     the whole horizon from three starts: the given start, and two others at its temperature. The promised error is the
@@ -87,8 +87,8 @@ def tune(
         measured, and the result provides settings for any error.
     schemes : sequence of str or Scheme, optional
         By default `CANDIDATES`, or as many of them as the budget allows. The name of a custom scheme must not be in the
-        catalogue. OpenMM's VerletIntegrator is measured too if constraints hold all bodies; if it fails, the result
-        states the failure.
+        catalogue. OpenMM's VerletIntegrator is measured too if constraints hold all bodies. If this integrator fails,
+        the result states the failure.
     velocities : (n, 3) array or Quantity, optional
         Velocities for a start given by positions, in nm/ps if they have no unit.
     temperature : float or Quantity, optional
@@ -101,15 +101,15 @@ def tune(
     bodies : sequence of sequences of int, optional
         Bodies named by hand, as in `ExactRigidBodyIntegrator`; by default those of the integrator of a Simulation.
     horizon : float or Quantity, optional
-        Length of the production runs for which errors are promised, in ps if it has no unit; by default ten times
+        Length of the production runs for which errors are promised, in ps if it has no unit. The default is ten times
         `duration`, or less if the budget does not allow that.
     budget : float or Quantity, optional
         Processor time that may be used, in s if it has no unit; by default two minutes. If it is not sufficient for the
-        production runs, the recommendation relies on the survey alone, and the result says so.
+        production runs, the recommendation relies on the survey alone, and the result states this.
     duration : float or Quantity, optional
         Length of the survey runs, in ps if it has no unit. The default is 100 divided by the root mean square frequency
-        of the system (1.5 ps for water), or a tenth of a given horizon if that is longer, up to four times this length.
-        It is shorter if the budget requires it.
+        of the system (1.5 ps for water). If a tenth of a given horizon is longer, this tenth is used, up to four times
+        the default. The runs are shorter if the budget requires it.
     levels : int, optional
         Largest number of step sizes, which decrease from the largest stable one by factors of sqrt(2).
     seed : int, optional

@@ -10,8 +10,8 @@ from openmm_exactrb.support.types import Array
 
 _WINDOWS = (8, 4, 2, 1)
 # A drift is the slope of the means of this many parts of a run. The differences of successive residuals from a line
-# show how the means scatter: for independent means, their sum of squares is twice that of the residuals, and far less
-# for a random walk.
+# show how the means scatter. For independent means, their sum of squares is twice that of the residuals; for a random
+# walk, it is far less.
 _PARTS, _SCATTER = 16, 1.5
 # A slope is a drift if it exceeds this many of its standard errors. One random walk in 25 is then mistaken for a drift,
 # and few oscillations are.
@@ -22,9 +22,9 @@ def expected_error(energies: Array, interval: float, horizon: float) -> float:
     """Extrapolate the standard deviation of an energy to a longer run.
 
     A significant drift is extrapolated linearly. The variance of the remainder within windows of 1/8, 1/4, 1/2 and all
-    of the run is fitted by a power of the length of the windows and extrapolated to the horizon. The power is kept
-    between 0 (the energy oscillates about a mean) and 1 (the energy is a random walk). A single run determines a random
-    walk poorly, so the contribution of the remainder is increased by up to a half. The documentation ("How long advice
+    of the run is fitted by a power of the window length and extrapolated to the horizon. The power is kept between 0
+    (the energy oscillates about a mean) and 1 (the energy is a random walk). A single run determines a random walk
+    poorly, so the contribution of the remainder is increased by up to a half. The documentation ("How long advice
     holds") tabulates how often longer runs still exceed the result.
 
     Parameters

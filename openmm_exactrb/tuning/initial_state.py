@@ -27,7 +27,8 @@ from openmm_exactrb.tuning.preparation import heat, minimise
 
 # Largest fraction of the budget for bringing a start to a temperature.
 _SHARE = 0.33
-# Accepted deviation of the kinetic energy: a fraction, because a large system absorbs heat, plus standard deviations.
+# Accepted deviation of the kinetic energy: a fraction, because a large system absorbs heat, plus a number of standard
+# deviations.
 _SLACK, _DEVIATIONS = 0.1, 5.0
 # Parts of Langevin dynamics between two starts.
 _APART = 4

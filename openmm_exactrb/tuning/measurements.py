@@ -80,7 +80,7 @@ class Measurements:
     ) -> None:
         self.benchmark, self.duration, self.horizon, self._report = benchmark, duration, horizon, report
         self.methods = {method.name: method for method in (*methods, *[Method()] * benchmark.has_baseline)}
-        #: Whether the budget ended a search, or the runs of a promise.
+        #: Whether the budget ended a search, or the runs for a promised error.
         self.cut = False
         self._points: list[Point] = []
         # Wall time in s of a force evaluation with the evaluations nested in it, and their number, by method and step.
@@ -164,7 +164,7 @@ class Measurements:
     def slope(self, name: str, step: float) -> float:
         """Return the exponent with which the error of the survey depends on the step around a given step.
 
-        It is computed from the nearest step on each side; with a single step it is the order of the method.
+        The exponent is computed from the nearest step on each side; with a single step it is the order of the method.
         """
         curve = [p for p in self.curve(name) if p.duration == self.duration]
         if len(curve) < 2:

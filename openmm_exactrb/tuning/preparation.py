@@ -22,15 +22,15 @@ from openmm_exactrb.thermostats import ExactRigidBodyLangevinIntegrator
 
 # Extent in nm that is assigned to a particle, which has no shape.
 _EXTENT = 0.1
-# Langevin dynamics: step in characteristic times, smallest and largest friction in inverse characteristic times,
-# shortest step in times of free bodies, and number of steps after which these times are recomputed.
+# Parameters of Langevin dynamics: step in characteristic times, smallest and largest friction in inverse characteristic
+# times, shortest step in times of free bodies, and number of steps after which these times are recomputed.
 _STEP, _WEAKEST, _STRONGEST, _SHORTEST, _STEPS = 0.07, 0.2, 1.0, 1e-3, 75
-# Largest distance in nm that a body of the mean mass flies in a step, since it may meet another, and the number of
-# times that the step is halved after a divergence.
+# Largest distance in nm that a body of the mean mass moves in a step, since it may collide with another, and the number
+# of times that the step is halved after a divergence.
 _FLIGHT, _HALVINGS = 0.003, 4
-# Least number of relaxation times of the momentum in a given length.
+# Least number of relaxation times of the momentum within dynamics of a given length.
 _RELAXED = 10.0
-#: Number of parts, of `_STEPS` steps, that bring a start to a temperature.
+#: Number of parts, of `_STEPS` steps each, that bring a start to a temperature.
 PARTS = 16
 _ITERATIONS, _TOLERANCE = 100, 10.0  # enough to remove overlaps; the minimiser need not converge
 
@@ -45,7 +45,7 @@ class Characteristics(NamedTuple):
     #: 1/omega in ps, at most `free`. omega², the mean square frequency in equilibrium, is the mean of force²/mass and
     #: torque²/inertia divided by kT.
     time: float
-    #: Time in ps in which free bodies turn by a radian, and particles without a shape fly over 0.1 nm.
+    #: Time in ps in which free bodies turn by a radian, and particles without a shape move by 0.1 nm.
     free: float
     #: Root mean square of a component of the velocity at the mean mass, in nm/ps.
     speed: float
@@ -110,8 +110,8 @@ def heat(
 ) -> Iterator[float]:
     """Perform Langevin dynamics for a time in ps, by default in `PARTS` parts; yield the kinetic energy after a part.
 
-    The step is chosen from the forces, which allows starts far from equilibrium. It is halved if the dynamics diverges
-    because bodies collide that did not interact when it was chosen.
+    The step is chosen from the forces, which allows starts far from equilibrium. The step is halved if the dynamics
+    diverges because bodies collide that did not interact when the step was chosen.
     """
     left, least = (math.inf, 0.0) if length is None else (length, _RELAXED / (length or math.inf))
     part, halvings = 0, 0

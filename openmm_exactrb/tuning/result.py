@@ -33,7 +33,8 @@ class Choice:
     error: float
     #: Wall time in s per ps.
     cost: float
-    #: Whether this setting itself was run over the horizon, from several starts; otherwise it follows from the survey.
+    #: Whether this setting itself was run over the horizon, from several starts; otherwise the setting follows from the
+    #: survey.
     confirmed: bool
     #: Bodies named by hand, an argument of the integrator.
     bodies: list[list[int]] | None = None
@@ -98,8 +99,8 @@ class Tuning:
         Parameters
         ----------
         target : float, optional
-            Standard deviation of the total energy in kJ/mol per body within the horizon. By default the target of
-            `tune`, for which the setting was confirmed by runs over the horizon; for other targets the setting is
+            Standard deviation of the total energy in kJ/mol per body within the horizon. By default, the target of
+            `tune`, for which runs over the horizon confirmed the setting. For other targets, the setting is
             interpolated between points of the survey.
         method : str, optional
             A scheme, or "VerletIntegrator"; by default all schemes.
@@ -148,7 +149,7 @@ class Tuning:
         return Choice(*setting, self.bodies, own, self.groups, evaluations)
 
     def surveyed(self, target: float, method: str | None = None) -> Choice | None:
-        """Return the cheapest setting of a method or of all schemes by the survey; None if all miss the target."""
+        """Return the cheapest setting of a method or of all schemes in the survey; None if all miss the target."""
         found = []
         for name in self._methods(method):
             curve = self.curve(name)
@@ -176,9 +177,9 @@ class Tuning:
         if not points and self.floor is not None:
             return f"an error of {target:.3g} kJ/mol per body is out of reach. {self._about_floor()}"
         if not self.points:
-            return "the budget was spent before a run ended: pass a larger one"
+            return "the budget was spent before a run ended: pass a larger budget"
         if not points:
-            return "no run was stable: the start is far from equilibrium, or the forces are not those of a potential"
+            return "no run was stable: the start is far from equilibrium, or the forces do not conserve the energy"
         least, why = min(points, key=lambda p: p.error), "not reached: the smallest found is"
         failed = [p for p in points if p.duration >= self.horizon and p.error > target]
         if least.error <= target and failed:

@@ -1,4 +1,4 @@
-"""The search: it runs all methods at decreasing steps, and then methods near the target for the production length."""
+"""The search, which runs all methods at decreasing steps, then methods near the target for the production length."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from openmm_exactrb.tuning.measurements import Measurements, Point, cost_at, ste
 COARSE, COARSE_NESTED = 1.6, 8.0
 #: Ratio of successive step sizes.
 RATIO = 2.0**0.5
-# The probe for noise of the forces: its schemes, their time per evaluation in characteristic times, its length relative
-# to the survey, the ratio of the finer to the coarser deviation above which a deviation is noise, the fraction of the
-# kinetic energy above which it is noise too (a hundred times the error of a scheme), and the ratio to the smaller
-# deviation of the two schemes below which it is noise.
+# Schemes of the probe for noise in the forces, their time per force evaluation in characteristic times, and the length
+# of the probe relative to the survey. The energy deviation at the finer step is noise if it is below _APART times the
+# smaller deviation of the two schemes and above _FALLING times the deviation at the coarser step. A deviation above the
+# fraction _LARGE of the kinetic energy, a hundred times the error of a scheme, need not meet the second condition.
 _PROBES, _FINE, _PROBED, _FALLING, _LARGE, _APART = ("W4_4", "SRKN4_6b"), 0.05, 0.3, 0.35, 1e-4, 5.0
 # Number of first step sizes at which all methods may be unstable, and the ratio of an error to the noise below which
 # smaller steps gain nothing.

@@ -340,7 +340,7 @@ def test_what_a_file_lacks_is_said(tmp_path):
             rb.corrected(file, values, slope)
     with pytest.raises(ValueError, match=r"create the AverageReporter with around=\(particles, distance\)"):
         rb.corrected(file, "pressure", local=True)
-    with pytest.raises(ValueError, match="at constant volume, which has no pressure to correct to"):
+    with pytest.raises(ValueError, match="at constant volume, whose averages cannot be corrected to a pressure"):
         rb.corrected(file, "pressure", pressure=1.0)
     few = tmp_path / "few.csv"
     few.write_text("".join(file.read_text(encoding="utf-8").splitlines(keepends=True)[:20]))

@@ -63,7 +63,7 @@ def test_a_force_that_cannot_get_smaller_is_said():
 def test_a_blow_up_names_the_closest_bodies_across_the_box():
     context, integrator = spheres(0.002, periodic=True)
     integrator.setStepSize(0.002)
-    with pytest.raises(rb.NonFiniteError, match=r"The closest before it were the bodies 0 and 1, 0\.00"):
+    with pytest.raises(rb.NonFiniteError, match=r"The closest before the step were the bodies 0 and 1, 0\.00"):
         integrator.step(5)
     assert np.isfinite(positions_of(context)).all()
 

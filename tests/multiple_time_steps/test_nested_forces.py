@@ -106,7 +106,7 @@ def test_bonded_forces_need_no_group_of_their_own(scheme):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"fast": (0, 1)}, "fast names all forces"),
+        ({"fast": (0, 1)}, "fast= names all forces"),
     ],
 )
 def test_groups_that_cannot_be_nested_are_refused(options, message):
@@ -126,8 +126,8 @@ def test_groups_that_cannot_be_nested_are_refused(options, message):
         ({"fast": (0.5,)}, 'fast must be "auto", None, "bonded" or force groups'),
         ({"fast": openmm.NonbondedForce()}, r"force\.getForceGroup\(\) returns"),
         ({"fast": (openmm.NonbondedForce(),)}, r"force\.getForceGroup\(\) returns"),
-        ({"fast": None, "inner": "S2_2"}, "set them with fast="),
-        ({"fast": None, "innerSteps": 2}, "set them with fast="),
+        ({"fast": None, "inner": "S2_2"}, "need fast forces: set fast= too"),
+        ({"fast": None, "innerSteps": 2}, "need fast forces: set fast= too"),
         ({"fast": "bonded", "inner": "V2_C17"}, "drifts and kicks alone"),
         ({"fast": "bonded", "innerSteps": 0}, "innerSteps"),
     ],

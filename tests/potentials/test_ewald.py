@@ -255,7 +255,7 @@ def test_a_serialised_system_has_the_same_sum(wca):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"kernel": "bonds"}, "only the compiled kernel has an Ewald sum"),
+        ({"kernel": "bonds"}, "only the compiled kernel computes an Ewald sum"),
         ({"kernel": "fortran"}, "unknown kernel"),
         ({"boundary": rb.Ewald(switch=0.0)}, "start the switch at a larger distance"),
         ({"boundary": rb.Ewald(switch=0.02)}, "waves, more than 1000000"),

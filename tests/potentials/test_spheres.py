@@ -204,7 +204,7 @@ def test_the_correction_follows_the_parameters_of_the_context():
         ({"wca": True, "shifted": True}, "wca=True already shifts the energy .* omit shifted"),
         ({"wca": True, "long_range_correction": True}, "without wca: omit long_range_correction="),
         ({"wca": True, "sphere_cutoff": 1.2}, "before the minimum of their energy at 1.12246 nm"),
-        ({"boundary": rb.Open(), "sphere_cutoff": 2.0}, "are for a periodic box"),
+        ({"boundary": rb.Open(), "sphere_cutoff": 2.0}, "need a periodic box"),
         ({"boundary": rb.Open(), "long_range_correction": True}, "spheres in a periodic box"),
     ],
 )

@@ -62,7 +62,7 @@ def test_a_checkpoint_of_another_version_is_refused(half, monkeypatch):
         refused(half, "openmm was .*, but is 7.0 now")
     with monkeypatch.context() as patch:
         patch.setattr(checkpoint, "FORMAT", b"99")
-        refused(half, "another version of openmm-exactrb: resume the run with that version")
+        refused(half, "in format '5' instead of '99': resume the run with that version")
     go_on(half)
 
 

@@ -84,7 +84,7 @@ def test_what_cannot_be_is_refused_and_changes_nothing():
         rb.heavy_hydrogens(system, bare)
     frozen = openmm.XmlSerializer.clone(system)
     frozen.setParticleMass(0, 0.0)
-    with pytest.raises(ValueError, match=r"moves, but atom 0 .* has no mass to give: give both zero mass, or neither"):
+    with pytest.raises(ValueError, match=r"has a mass, but atom 0 .* has none: set both masses to zero, or neither"):
         rb.heavy_hydrogens(frozen, topology)
     for arguments, message in (
         ((system, rb.rigid_water(2)[0]), "22 particles: pass the Topology of this System"),

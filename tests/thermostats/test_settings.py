@@ -175,7 +175,7 @@ def test_a_heat_exchange_without_a_thermostat_is_refused():
 
 def test_what_is_no_thermostat_is_refused():
     for thing in ("Langevin", 300.0, langevin()):
-        with pytest.raises(ValueError, match="thermostat= takes one of"):
+        with pytest.raises(ValueError, match="thermostat= takes a thermostat of"):
             rb.ExactRigidBodyIntegrator(0.002, thermostat=thing)
 
 

@@ -235,7 +235,7 @@ def _told(command: str, *arguments: str) -> str:
 def openmm_folder() -> Path:
     """Return the folder that contains OpenMM's `include` and `lib`; raise MissingLibraryError if headers are missing.
 
-    It is a folder of OpenMM's wheel, or the prefix of a conda environment.
+    The folder belongs to OpenMM's wheel, or is the prefix of a conda environment.
     """
     package = Path(openmm.__file__).parent
     candidates = (package.parent / "OpenMM.libs", *package.parents)

@@ -1,9 +1,10 @@
 // An OpenMM Integrator whose steps are a program: named arrays on the device, kernels given as text, and sequences of
-// operations. It knows no physics. It links to libOpenMM alone and reaches OpenCL, CUDA and HIP through the virtual
-// functions of ComputeContext; the few functions that are not virtual are looked up in the library of the platform.
+// operations. It contains no physics. The library links only to libOpenMM. It calls OpenCL, CUDA and HIP through the
+// virtual functions of ComputeContext, and looks up a few functions that are not virtual in the platform's library.
 //
-// Without a program it is a CustomIntegrator, whose global variables it always has. The steps of a program are begun
-// from Python, which knows whether the arrays are those of the Context: see library.py, and program.py for the lines.
+// Without a program, it is a CustomIntegrator, whose global variables it also has with a program. Python starts the
+// steps of a program, after it has checked that the arrays agree with the Context (library.py). The lines of a program
+// are described in program.py.
 #include "openmm/Context.h"
 #include "openmm/CustomIntegrator.h"
 #include "openmm/OpenMMException.h"
@@ -44,8 +45,8 @@ struct Array {
     string name;
     int elementSize = 8;
     size_t size = 0;
-    bool saved = false;      // belongs to checkpoints, States and what `keep` keeps
-    vector<char> data;       // on the host: what `build` uploads
+    bool saved = false;      // stored in checkpoints and States, and by `keep`
+    vector<char> data;       // values on the host, which `build` uploads
     DeviceArray device;
     size_t bytes() const {
         return size * elementSize;
@@ -61,9 +62,9 @@ struct Kernel {
     string name, function;
     int source, threads, block;
     vector<string> arguments;
-    vector<std::pair<int, int> > scalars;  // index of the argument, index of the scalar or one of the below
+    vector<std::pair<int, int> > scalars;  // index of the argument, index of the scalar, StepSize or StepCount
     ComputeKernel kernel;
-    bool places() const {  // whether it may move particles
+    bool places() const {  // whether the kernel may move particles
         return std::find(arguments.begin(), arguments.end(), "posq") != arguments.end();
     }
 };
@@ -76,14 +77,14 @@ struct Operation {
     double value = 0;
 };
 
-// The functions of the library of a platform that are not virtual.
+// Functions of the platform's library that are not virtual.
 struct PlatformFunctions {
     void (*reorderAtoms)(ComputeContext*);
     void (*setAtomIndex)(ComputeContext*, vector<int>&);
     void (*virtualSites)(IntegrationUtilities*);
     double (*kineticEnergy)(IntegrationUtilities*, double);
 
-    // The library is the one that has the class of the context, by the address of its table of virtual functions.
+    // Find the library that contains the class of the context, by the address of the class's virtual function table.
     void lookUp(ComputeContext* cc) {
         Dl_info info;
         if (dladdr(*reinterpret_cast<void**>(cc), &info) == 0)
@@ -102,7 +103,7 @@ struct PlatformFunctions {
     }
 };
 
-// The context of the device is current as long as this lives.
+// Makes the context of the device current during the lifetime of the object.
 struct Current {
     ComputeContext* cc;
     explicit Current(ComputeContext* cc) : cc(cc) {
@@ -128,8 +129,8 @@ public:
     double& scalar(const string& name) {
         return scalars[indexOf(scalars, name, "scalar")].value;
     }
-    // What others changed in the Context since this was cleared: bits 1 positions, 2 velocities, 4 what else forces depend
-    // on, 8 a checkpoint or State was loaded.
+    // External changes to the Context since these bits were cleared: 1 for positions, 2 for velocities, 4 for other
+    // quantities on which forces depend, and 8 for a loaded checkpoint or State.
     int changes = 7;
     long long launches = 0, forceCalls = 0;
 
@@ -200,18 +201,18 @@ private:
 
     ComputeContext* cc = NULL;
     PlatformFunctions functions;
-    DeviceArray places, box;  // of each atom its slot and the cell it was moved to; the box as nine numbers
+    DeviceArray places, box;  // slot and periodic cell of each atom; nine numbers of the box vectors
     vector<double> lastBox;
-    struct Loaded {  // of a checkpoint or State, until there is a program for it
+    struct Loaded {  // values from a checkpoint or State, until a program is set
         std::map<string, double> scalars;
         std::map<string, vector<char> > arrays;
     } loaded;
     bool forcesStale = true, placesStale = true, updating = false;
     int forceCount = -1, forceGroups = 0;
-    double stepBegan = 0;  // the time
-    long long updates = 0;  // of the Context since it was made, which barostats count too: not saved, as theirs are not
+    double stepBegan = 0;  // in ps
+    long long updates = 0;  // since the Context was created; like the counters of barostats, not saved
 
-    struct Kept {  // what `keep` kept beside arrays
+    struct Kept {  // the state saved by `keep`
         double time = 0;
         long long steps = 0;
         Vec3 box[3];
@@ -290,7 +291,7 @@ void ProgramIntegrator::setProgram(const string& text) {
         build();
 }
 
-// Give arrays and scalars the values that were loaded, if some were of this name and size.
+// Set arrays and scalars to loaded values of the same name and size.
 void ProgramIntegrator::takeLoaded() {
     for (Scalar& s : scalars)
         if (loaded.scalars.count(s.name))
@@ -394,8 +395,8 @@ void ProgramIntegrator::build() {
     }
 }
 
-// Arguments: arrays of OpenMM and of the program by name, a scalar $name, the step size $h, the step count #step (long
-// long), or a whole number (int).
+// Arguments are the names of arrays of OpenMM or of the program, a scalar $name, the step size $h, the step count #step
+// (long long), or an integer (int).
 void ProgramIntegrator::bind(Kernel& k) {
     std::map<string, ArrayInterface*> given = {{"posq", &cc->getPosq()}, {"velm", &cc->getVelm()},
         {"posqCorrection", cc->getUseMixedPrecision() ? &cc->getPosqCorrection() : &cc->getPosq()},
@@ -455,7 +456,7 @@ void ProgramIntegrator::launch(Kernel& k) {
     launches++;
 }
 
-// Evaluate the forces of some groups (bits) that act, unless the buffer has those of the present positions.
+// Evaluate the forces of those groups (bits) that are active.
 void ProgramIntegrator::evaluate(int groups) {
     context->calcForcesAndEnergy(true, false, groups & getIntegrationForceGroups());
     forceCount = cc->getComputeForceCount(), forceGroups = getIntegrationForceGroups(), forcesStale = false;
@@ -501,15 +502,17 @@ void ProgramIntegrator::step(int steps) {
     if (program.empty())
         CustomIntegrator::step(steps);
     else
-        throw error("this integrator was read by OpenMM alone: step() is a method of the integrator of openmm_exactrb that wrote it");
+        throw error("OpenMM read this integrator from a file and cannot perform its steps: create the integrator with openmm_exactrb again");
 }
 
-// Sequences: "forces" evaluates those that "open" needs, unless they are known; "open" begins a step, "body" goes on to
-// its last forces, "close" ends it, and "between" is "close" and "open" in one. OpenMM updates the Context when its
-// barostats act, after every "interval" of updates, and where the number of steps is a multiple of "removal" (scalars,
-// 0 for never). Behind it comes "pushed", and "moved" too where positions changed. A program with a sequence "leave" has
-// it before the updates in which barostats act, and "return" behind them; "leave_pushed" and "leave_moved" may replace
-// "pushed" and "moved" there.
+// Perform steps by these sequences of the program. "forces" evaluates the forces that "open" needs, unless they are
+// known. "open" begins a step, "body" continues it up to its last force evaluation, and "close" ends it. "between"
+// combines "close" with the following "open".
+//
+// OpenMM updates the Context when barostats act, after every "interval" updates, and when the number of steps is a
+// multiple of "removal". These scalars are 0 for never. "pushed" follows an update, and "moved" follows if positions
+// changed. Updates in which barostats act are preceded by the sequence "leave", if it exists, and followed by "return";
+// "leave_pushed" and "leave_moved" then replace "pushed" and "moved" if they exist.
 void ProgramIntegrator::makeSteps(int steps) {
     requireDevice();
     Current current(cc);
@@ -537,7 +540,7 @@ void ProgramIntegrator::makeSteps(int steps) {
     }
 }
 
-// Carry out a sequence that is no part of a step.
+// Execute a sequence outside of a step.
 void ProgramIntegrator::runAlone(const string& name) {
     requireDevice();
     Current current(cc);
@@ -548,7 +551,7 @@ void ProgramIntegrator::runAlone(const string& name) {
         forcesStale |= o.kind == Operation::Forces || (o.kind == Operation::Run && kernels[o.which].places());
 }
 
-// Let barostats, thermostats and removers of the System act as in so many steps that end now.
+// Perform OpenMM's updates (barostats, thermostats, CMMotionRemover) for the last `calls` steps.
 void ProgramIntegrator::update(int calls, bool leaves) {
     updates += calls;
     auto behind = [&](const string& name) {
@@ -576,9 +579,9 @@ void ProgramIntegrator::update(int calls, bool leaves) {
         forcesStale = true;
 }
 
-// -- what is kept, saved and loaded -----------------------------------------------------------------------------------
+// -- saved and loaded states ------------------------------------------------------------------------------------------
 
-// Keep the state of the Context and of the program, for `restore`.
+// Save the state of the Context and of the program for `restore`.
 void ProgramIntegrator::keep() {
     requireDevice();
     Current current(cc);
@@ -611,7 +614,7 @@ void ProgramIntegrator::restore() {
     cc->setPosCellOffsets(kept.cells);
     for (auto& pair : kept.copies)
         pair.second->copyTo(*pair.first);
-    vector<Vec3> x, v;  // through OpenMM, so that all that it has made of them is made again
+    vector<Vec3> x, v;  // set through OpenMM, which then updates all data that depend on them
     context->getPositions(x), context->getVelocities(v);
     context->setPositions(x), context->setVelocities(v);
     updating = false;
@@ -619,7 +622,7 @@ void ProgramIntegrator::restore() {
     placesStale = forcesStale = true;
 }
 
-// Give an array on the device the values that the host has.
+// Upload the host's values of an array to the device.
 void ProgramIntegrator::show(Array& a) {
     if (a.device) {
         Current current(cc);
@@ -646,7 +649,7 @@ void ProgramIntegrator::download(const string& name, void* data, size_t bytes) {
     memcpy(data, a.data.data(), bytes);
 }
 
-// What is saved, in binary: scalars and arrays by their names, whose list ends with an empty one.
+// Binary format of saved states: pairs of a name and a value, for scalars and then for arrays; an empty name ends each.
 template <class T> void put(std::ostream& stream, const T& value) {
     stream.write(reinterpret_cast<const char*>(&value), sizeof(T));
 }
@@ -666,7 +669,7 @@ template <class Bytes> Bytes getBytes(std::istream& stream) {
 }
 const int Mark = 0x45584152;
 
-// Write scalars, and arrays that are saved or all.
+// Write all scalars, and the arrays that are marked as saved or, if `all`, all arrays.
 void ProgramIntegrator::save(std::ostream& stream, bool all) const {
     for (const Scalar& s : scalars)
         putBytes(stream, s.name), put(stream, s.value);
@@ -703,7 +706,7 @@ void ProgramIntegrator::loadCheckpoint(std::istream& stream) {
     load(stream);
 }
 
-// The values of an array, from the device if they are there.
+// Return the values of an array, from the device if it exists there.
 vector<char> ProgramIntegrator::present(const Array& a) const {
     vector<char> data = a.data;
     if (a.device) {
@@ -802,7 +805,7 @@ template <class Action> int guarded(void* pointer, Action action) {
     }
 }
 
-// "8.6" of "8.6.1" and of "8.6": the classes that are used have the same layout there.
+// Return "8.6" for "8.6.1" and for "8.6". Classes have the same layout in all versions that have the same result.
 string minorVersion(const string& version) {
     return version.substr(0, version.find('.', version.find('.') + 1));
 }
@@ -812,7 +815,7 @@ string minorVersion(const string& version) {
 #pragma GCC visibility push(default)
 extern "C" {
 
-// Register the class for XmlSerializer; return the OpenMM that it was built for if that is another one, else NULL.
+// Register the class for XmlSerializer. If the library was built for another version of OpenMM, return that version.
 const char* pi_register() {
     static bool done = false;
     if (minorVersion(Platform::getOpenMMVersion()) != minorVersion(BUILT_FOR))
@@ -822,7 +825,7 @@ const char* pi_register() {
     done = true;
     return NULL;
 }
-void registerPlatforms() {  // so that Platform.loadPluginLibrary can load it too
+void registerPlatforms() {  // required by Platform.loadPluginLibrary
 }
 void registerKernelFactories() {
     pi_register();
@@ -830,7 +833,7 @@ void registerKernelFactories() {
 const char* pi_error() {
     return lastError.c_str();
 }
-// Return 0, or 1 if there is an error.
+// Define an exported function that returns 0, or 1 after an error.
 #define EXPORT(name, parameters, action) \
     int pi_##name parameters { \
         return guarded(integrator, [&](ProgramIntegrator& it) { action; }); \
@@ -848,7 +851,7 @@ EXPORT(run, (void* integrator, const char* sequence), it.runAlone(sequence))
 EXPORT(keep, (void* integrator), it.keep())
 EXPORT(restore, (void* integrator), it.restore())
 EXPORT(count, (void* integrator, int which, long long* value), *value = which == 0 ? it.launches : it.forceCalls)
-// What others changed, of which some is cleared.
+// Return the bits of external changes, and then clear some of them.
 EXPORT(changes, (void* integrator, int clear, int* value), *value = it.changes; it.changes &= ~clear)
 }
 #pragma GCC visibility pop

@@ -177,7 +177,7 @@ class DevicePropagator:
         """
         changed = self.sync.settle()
         if self._surroundings not in (None, self._present_surroundings()):
-            self._coordinates = 0.0  # the inner coordinates belong to other forces
+            self._coordinates = 0.0  # the inner coordinates were computed from other forces
         if version != self._version:
             self._bind(settings())
             self._version, changed = version, True
@@ -192,8 +192,8 @@ class DevicePropagator:
         except BaseException as error:
             try:
                 self._restore()
-            except openmm.OpenMMException as second:  # the first error is the one that counts
-                error.add_note(f"The Context is lost too ({second}): load a checkpoint into a new one.")
+            except openmm.OpenMMException as second:  # the first error is raised, with a note
+                error.add_note(f"The Context could not be restored ({second}): load a checkpoint into a new Context.")
             raise
         self._fetch_numbers()
         if self._processed:
@@ -251,8 +251,8 @@ class DevicePropagator:
         which = np.flatnonzero(lost(bodies, self.sync.state.rounded))
         names = ", ".join(map(bodies.name, which[:_NAMED])) + (", ..." if len(which) > _NAMED else "")
         raise NonFiniteError(
-            f"within {n} steps positions or momenta of {len(which)} bodies became infinite, or faster than light: "
-            f"{names}. {ADVICE.format('call')}"
+            f"within {n} steps, {len(which)} bodies obtained non-finite positions or momenta, or became faster than "
+            f"light: {names}. {ADVICE.format('call')}"
         )
 
     @property
@@ -275,7 +275,7 @@ class DevicePropagator:
         kinetic_before = self._report()[0]
         before = kinetic_before, kinetic_before + self._potential()
         if message := gained(len(self.sync.bodies), before, (kinetic, energy)):
-            raise IntegrationError(f"within {n} steps {message}. {ADVICE.format('call')}")
+            raise IntegrationError(f"within {n} steps, {message}. {ADVICE.format('call')}")
 
     def _potential(self) -> float:
         self._timings.evaluations += 1

@@ -204,8 +204,8 @@ class Step:
 class Table:
     """The moves of all segments as a table for kernels: rows of integers, and numbers that depend on the settings.
 
-    A row contains the op, the number of the move (plus 2^16 if it is late), the index of its first number, and the
-    count of its numbers.
+    A row contains the op, the number of the move (plus 2^16 if the move belongs to the next step), the index of its
+    first number, and the count of its numbers.
     """
 
     #: The names of the arrays.

@@ -28,7 +28,7 @@ class DeviceState(Synchronisation):
     The program integrator detects external changes to the Context, so states need not be compared for this purpose.
     """
 
-    _behind = False  # whether the device has moved on since `state` was read
+    _behind = False  # whether the device has moved the bodies since `state` was read
 
     def begin(self, device: Device, parts: Sequence[Any], processed: bool, single: bool) -> None:
         """Use the arrays of a program on `device`, which its `parts` read and write, for the state."""

@@ -74,7 +74,7 @@ class Clock:
         self._set(*self._kept)
 
     def update(self, integrator: openmm.CustomIntegrator, n: int, h: float) -> None:
-        """Let OpenMM perform n steps of its own, of which the last one begins at the present time."""
+        """Let OpenMM perform n steps of its own, the last of which begins at the present time."""
         context: Any = self._context()
         present = self.time + self._drifted
         openmm.Context.setStepCount(context, self.number - n)
@@ -140,7 +140,7 @@ class HostPropagator:
             with np.errstate(all="ignore"):  # non-finite numbers are reported with their bodies
                 self._make(n)
         except BaseException:
-            self._positions.moved()  # to positions within the step that failed
+            self._positions.moved()  # the Context has positions from within the failed step
             raise
         finally:
             self._clock.restore()
@@ -154,7 +154,7 @@ class HostPropagator:
             self._left = self.sync.state
 
     def energy_at_exchange(self, version: object, settings: Callable[[], Settings]) -> float:
-        """Return the total energy (kJ/mol) at the last heat exchange, where its errors have the scheme's order.
+        """Return the total energy (kJ/mol) at the last heat exchange, where energy errors have the scheme's order.
 
         The drifts after this exchange are temporarily undone. The arguments are those of `advance`.
         """
@@ -173,7 +173,7 @@ class HostPropagator:
         """Update the state and the substeps after changes to the Context and the integrator."""
         changed = self.sync.pull()
         if self._processed and self._surroundings != self._present_surroundings():
-            self.sync.keep(None)  # the inner coordinates belong to other forces
+            self.sync.keep(None)  # the inner coordinates were computed from other forces
         self._clock.begin()
         self._positions.moved()  # other quantities on which forces depend may have changed
         if version != self._version:
@@ -228,7 +228,7 @@ class HostPropagator:
         check = self.environment.divergence
         check.keep_from(state)
         inner = through(self._processor, state)
-        check.leave(inner)  # its kicks are of the size of the steps, which may be far too long
+        check.leave(inner)  # the kicks of the processor grow with the step size, which may be far too large
         self._memory.clear()
         return inner
 
@@ -270,9 +270,10 @@ class HostPropagator:
         return state
 
     def _acted(self, state: State, n: int, box: tuple[float, ...]) -> State:
-        """Return a state after n of OpenMM's updates; `box` is that before them.
+        """Return a state after n of OpenMM's updates; `box` is the box before these updates.
 
-        Barostats act on the true state of a processed scheme, and otherwise where the next kick does.
+        Barostats act on the true state of a processed scheme. With other schemes, they act at the positions of the
+        next kick.
         """
         there = self._true(state) if self._processed else through(self._up_to_kick, state)
         self._positions.write(there)
@@ -286,7 +287,7 @@ class HostPropagator:
         if after is not there:
             return self._processed_from(after) if self._processed else through(self._back_from_kick, after)
         if there is not state:
-            self._positions.version += 1  # those of the state
+            self._positions.version += 1  # the Context again contains the positions of the state
         return state
 
     # -- binding substeps ----------------------------------------------------------------------------------------------

@@ -113,7 +113,7 @@ def _series(lanes, begin, count, coefficients):
 
 @inlined
 def _turn(c, s):
-    """Return atan2(s, c), from a short series of atan: the tangent of a sixteenth of the angle is below 0.2."""
+    """Return atan2(s, c) by a short series of atan, since the tangent of a sixteenth of the angle is below 0.2."""
     t = s / max(math.sqrt(c * c + s * s) + c, 1e-300)
     for _ in range(3):
         t = t / (1.0 + math.sqrt(1.0 + t * t))

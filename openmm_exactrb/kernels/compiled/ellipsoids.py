@@ -26,7 +26,7 @@ def _pair(r, a, b, c, chi, chi_prime, sigma, shift, scale):
     K, Ka, Kb, Kc = _anisotropy(a, b, c, chi_prime)
     width = sigma / np.sqrt(H)
     R = (r - width) / shift + 1.0
-    if R <= 0.0:  # beyond its pole, the formula would attract
+    if R <= 0.0:  # beyond the pole of the formula, the force would be attractive
         return np.nan, np.nan, np.nan, np.nan, np.nan
     i = 1.0 / R
     i6 = (i * i * i) * (i * i * i)
@@ -35,7 +35,7 @@ def _pair(r, a, b, c, chi, chi_prime, sigma, shift, scale):
     W, dW = i6 * i6 - i6, (6.0 - 12.0 * i6) * i6 * i
     U = strength * K * K * W
     slope = strength * K * K * dW / shift
-    by_H = 0.5 * slope * width / H  # the width falls as H grows
+    by_H = 0.5 * slope * width / H  # the width decreases as H increases
     by_K = 2.0 * strength * K * W
     return U, slope, by_H * Ha + by_K * Ka, by_H * Hb + by_K * Kb, by_H * Hc + by_K * Kc + U * chi * chi * c / D
 
@@ -87,7 +87,7 @@ def gay_berne(x, box, law, forces, energy):
                 forces[2 * j, k] += push
                 pulls[i, k] -= Ua * e[k] + Uc * v[k]
                 pulls[j, k] -= Ub * e[k] + Uc * u[k]
-    for i in range(n):  # the component that rotates the axis, without the one that would stretch it
+    for i in range(n):  # keep the component that rotates the axis, and remove the one that would stretch it
         u, stretch = axes[i], dot(pulls[i], axes[i])
         for k in range(3):
             forces[2 * i + 1, k] = (pulls[i, k] - stretch * u[k]) / lengths[i]

@@ -29,7 +29,7 @@ def reciprocal_space(
 ) -> tuple[float, Array, Array]:
     """Return the energy of dipoles u (3, n) at r (3, n), the forces and the fields: -dU/dr and -dU/du of this energy U.
 
-    Each dipole interacts with the Gaussian clouds, of inverse width `alpha`, of all other dipoles and of all periodic
+    Each dipole interacts with the Gaussian clouds (inverse width `alpha`) of all other dipoles and of all periodic
     images in a rectangular box with these `edges`. The sample is surrounded by a medium of relative permittivity
     `dielectric`. Results are bit-identical for any number of threads.
     """
@@ -57,7 +57,7 @@ def _wave_numbers(edge: float, k_max: float) -> Array:
     return 2.0 * math.pi / edge * np.arange(int(k_max * edge / (2.0 * math.pi)) + 1, dtype=np.float64)
 
 
-@lru_cache(maxsize=2)  # a barostat goes back and forth between two boxes
+@lru_cache(maxsize=2)  # a barostat alternates between two boxes
 def _spectrum(edges: Edges, alpha: float, k_max: float) -> tuple[Array, NDArray[np.int64]]:
     """Return the weights of products of waves along x, y, z, and the number of waves along z for each pair along x, y.
 

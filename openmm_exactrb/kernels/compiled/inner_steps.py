@@ -66,7 +66,7 @@ def advance(
     are the forces and torques at the start. The sequence ends early if the kinetic energy per body after a kick exceeds
     `hottest` (kJ/mol). `found` (2,) receives the number of force evaluations and the last kinetic energy per body.
     """
-    first = kinds[0, 0]  # first column of the clusters, `last` is the one after them
+    first = kinds[0, 0]  # first column of the clusters; `last` is the column after them
     last = kinds[len(kinds) - 1, 0]
     time = np.empty(1)
     found[:] = 0.0

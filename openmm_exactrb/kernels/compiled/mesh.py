@@ -85,7 +85,7 @@ def spline(order: int) -> Array:
     return C
 
 
-@lru_cache(maxsize=2)  # a barostat goes back and forth between two boxes
+@lru_cache(maxsize=2)  # a barostat alternates between two boxes
 def influence_function(edges: Edges, alpha: float, points: Points, order: int) -> Array:
     """Return the influence function of the mesh that minimises the errors of the forces on random dipoles.
 

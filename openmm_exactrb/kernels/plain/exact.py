@@ -37,7 +37,7 @@ SHORT = 0.3
 SAFE = (1e-70, 1e70)
 #: The size of components of a unit vector below which their eighth powers vanish.
 VANISHING = 1e-36
-#: The error of double-doubles relative to the terms of S: if S is smaller, the momentum is on the separatrix.
+#: The error of S in double-doubles, relative to its terms. If S is smaller, the momentum counts as on the separatrix.
 ON_SEPARATRIX = 1e-30
 
 

@@ -188,4 +188,4 @@ def test_what_is_not_served_is_named():
         chain.addParticle(12.0)
         if i:
             chain.addConstraint(i - 1, i, float(np.linalg.norm(places[i] - places[i - 1])))
-    assert "constraints hold 40 atoms together" in refusal(chain, places)
+    assert "constraints join 40 atoms" in refusal(chain, places)

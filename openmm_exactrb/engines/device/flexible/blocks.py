@@ -13,7 +13,8 @@ from openmm_exactrb.support.types import Array, Indices
 #: The cost of a block is the number of memberships of its atoms in terms, about 30 per atom in a protein, plus this
 #: number for each atom.
 COST_OF_ATOM = 8
-#: Molecules of at most the second cost are not divided; larger ones are divided into blocks of about the first cost.
+#: Molecules whose cost is at most the second number are not divided. Larger molecules are divided into blocks whose
+#: cost is about the first number.
 COST_OF_BLOCK, COST_OF_MOLECULE = 1200, 6400
 
 
@@ -115,7 +116,7 @@ def _costs(members: Sequence[Indices], sizes: Indices) -> Indices:
 
 
 def _molecules(members: Sequence[Indices], count: int) -> Indices:
-    """Return the index of the molecule of each cluster; the clusters of a molecule are connected by terms."""
+    """Return the index of the molecule of each cluster, where clusters of a molecule are connected by terms."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

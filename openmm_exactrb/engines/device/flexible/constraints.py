@@ -11,10 +11,10 @@ from openmm_exactrb.engines.device.flexible.blocks import Blocks, Group
 
 #: The largest number of outer atoms of a star and of atoms of a cluster with any other graph.
 RAYS, LARGEST = 4, 32
-#: The largest number of orders of the multipliers, the relative size of terms at which a series ends, and the part of a
-#: drift that is not halved further; see `openmm_exactrb.kernels.compiled.clusters`.
+#: The largest number of orders of the multipliers, the relative size of terms at which a series ends, and the smallest
+#: part of a drift, which is not halved further; see `openmm_exactrb.kernels.compiled.clusters`.
 ORDERS, SETTLED, SHORTEST = 12, 1e-16, 0.5**12
-# Numbers of workspace per constraint of a cluster with any graph; see graph.cl.
+# Numbers in the workspace per constraint of a cluster with any graph; see graph.cl.
 _VECTORS = 4 * ORDERS + 6 + 10
 
 

@@ -36,7 +36,7 @@ def moves_of(segment: Segment, inner: InnerSteps | None) -> Moves:
     """Return the moves of a segment for flexible molecules.
 
     If a segment `leaves` the last fast kick of its last drift, this kick is due in the next segment, which needs the
-    fast forces at the same positions anyway.
+    fast forces at the same positions.
     """
     moves = [move for move in segment.moves if move.op != Op.DRIFT or move.bodies != "others"]
     if inner is None:

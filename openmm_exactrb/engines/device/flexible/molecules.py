@@ -140,7 +140,7 @@ def served(system: openmm.System, bodies: RigidBodies, fast: FastForces | None, 
     single = np.setdiff1d(excerpt.particles, bodies.clusters.particles)
     groups = [*clusters, Group(single[:, None], np.zeros((0, 2), dtype=np.int64), np.zeros(0))]
     late, terms = fast.excerpt is not None, terms_of(excerpt.forces, settings.groups)
-    assert terms is not None  # all of them are known
+    assert terms is not None  # the kernels support all fast forces here
     _require_room(terms)
     return Served(Molecules(groups, masses, bodies.owner, terms, inner, late))
 
@@ -149,8 +149,8 @@ def _require_small_clusters(bodies: RigidBodies) -> None:
     for kind in bodies.clusters.kinds:
         if kind.particles.shape[1] > LARGEST:
             raise NotServedError(
-                f"constraints hold {kind.particles.shape[1]} atoms together in {kind.name(0)}, and the device "
-                f"has kernels for {LARGEST} at most: create the System with constraints=HBonds"
+                f"constraints join {kind.particles.shape[1]} atoms in {kind.name(0)}, but the device has kernels for "
+                f"{LARGEST} at most: create the System with constraints=HBonds"
             )
 
 
@@ -159,7 +159,7 @@ def _require_room(terms: Terms) -> None:
     count = np.bincount(np.concatenate([of_kind.ravel() for of_kind in particles(terms)]), minlength=1)
     if count.max() > MOST_TERMS:
         raise NotServedError(
-            f"particle {count.argmax()} is in {count.max()} bonded terms, and the device has room for at most "
+            f"particle {count.argmax()} is in {count.max()} bonded terms, but the device supports at most "
             f"{MOST_TERMS}: distribute the terms over several particles, or use a CustomExternalForce for restraints"
         )
 

@@ -1,17 +1,18 @@
-// Rigid bodies of all kinds, by tables: a body, and where the tables have it.
+// Rigid bodies of all kinds: the state of a body, and its indices in the tables.
 //
-// Sizes are defines: BODIES; LANES, the threads that share a body (1, or those of a block); MEMORY and DIFFERENCES,
-// how many forces and differences of displaced ones are remembered, and PER_STEP and DIFFERENCES_PER_STEP of them in a
-// step; GRADIENTS, whether there are displacements; SCALES where heat exchanges multiply momenta.
+// The host defines these macros: BODIES, the number of bodies; LANES, the number of threads per body (1 or a block);
+// MEMORY and PER_STEP, the numbers of stored forces in total and per step; DIFFERENCES and DIFFERENCES_PER_STEP, the
+// same for differences between displaced and undisplaced forces; GRADIENTS, nonzero if the scheme has force-gradient
+// kicks; and SCALES, if heat exchanges multiply momenta by common factors.
 
-// A body, with the force on it and the torque in its axes if these are known.
+// The state of a body, the force on it, and the torque in its body frame. Unknown forces and torques are zero.
 typedef struct {
     double R[3], P[3], q[4], L[3];
     double F[3], T[3];
     double inverse_mass, inverse_inertia[3];
 } Body;
 
-// What a segment is: bits.
+// Bits for the properties of a segment.
 #define HAS_FORCES 1
 #define MOVES_PARTICLES 2
 #define SHOWS_VELOCITIES 4
@@ -25,7 +26,7 @@ typedef struct {
 #define DISPLACE 5
 #define DISPLACED_KICK 6
 
-// Columns of a kind, of the constants of a body, and of a move.
+// Numbers of columns of the tables of kinds, of constants and of moves.
 #define KIND_COLUMNS 8
 #define CONSTANTS 12
 #define ROW 4
@@ -47,7 +48,7 @@ typedef struct {
 #define SHARED_ARG double*
 #endif
 
-// Add numbers of all threads of a body.
+// Sum numbers over all threads of a body.
 DEVICE inline void sum_over_lanes(double* values, int n, SHARED_ARG shared) {
 #if LANES > 1
     for (int k = 0; k < n; k++) {
@@ -64,7 +65,7 @@ DEVICE inline void sum_over_lanes(double* values, int n, SHARED_ARG shared) {
 #endif
 }
 
-// Where the tables have body i: its kind's row, its particles and sites, and its constants.
+// The indices of a body in the tables: its particles, sites, masses and constants, from the row of its kind.
 typedef struct {
     int sites, atom, atom_stride, site, site_stride, mass, constants;
 } Place;
@@ -87,13 +88,13 @@ DEVICE inline Place place_of(int i, GLOBAL const int* kind, GLOBAL const int* ki
     return p;
 }
 
-// A site in space, for a rotation matrix.
+// Rotate a site from the body frame to space by a rotation matrix.
 DEVICE inline void turned(const double* Q, GLOBAL const double* site, double* r) {
     EACH(k, 3)
         r[k] = Q[3*k]*site[0]+Q[3*k+1]*site[1]+Q[3*k+2]*site[2];
 }
 
-// A vector of space in the axes of a body, without what a linear body or a particle has no inertia for.
+// Rotate a vector from space to the body frame. Components about axes without a moment of inertia become zero.
 DEVICE inline void in_body(const double* Q, const double* inverse_inertia, const double* v, double* u) {
     EACH(k, 3)
         u[k] = inverse_inertia[k] == 0.0 ? 0.0 : Q[k]*v[0]+Q[3+k]*v[1]+Q[6+k]*v[2];
@@ -103,7 +104,7 @@ DEVICE inline void add_cross(double* sum, const double* a, const double* b) {
     sum[0] += a[1]*b[2]-a[2]*b[1]; sum[1] += a[2]*b[0]-a[0]*b[2]; sum[2] += a[0]*b[1]-a[1]*b[0];
 }
 
-// Where forces displace a body: e F/M, and the attitude turned by e T/I.
+// Compute the displacement e F/M of a body, and its orientation after a rotation by the vector e T/I.
 DEVICE inline void displaced(const Body* body, double e, const double* F, const double* T, double* arm, double* q) {
     double v[3];
     EACH(k, 3) {

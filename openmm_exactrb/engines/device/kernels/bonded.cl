@@ -1,11 +1,13 @@
 // Forces of bonds, angles, torsions, maps of two torsions and pairs of atoms within a block of clusters, with the
-// formulas of openmm_exactrb.kernels.compiled.bonded. Differences of positions are taken in double precision; what
-// follows from them is of the type NUMERIC: `fine`, which is float or double, but double where float costs accuracy.
+// formulas of openmm_exactrb.kernels.compiled.bonded. Differences of positions are computed in double precision, and
+// all further numbers in the type NUMERIC. This is `fine` (float or double), or double where float is not accurate
+// enough.
 //
-// Columns of a table stand behind each other: number k of term t is numbers[k*count+t]. Terms are found by their places
-// in the block, of which the first `own` are moved by it: others have the same term among their own.
+// Tables are stored column by column: number k of term t is numbers[k*count+t]. The atoms of a term are given by their
+// indices in the block. A block adds forces only to its own atoms, the first `own` of these indices. A term that
+// involves atoms of several blocks has a copy in each of these blocks.
 
-typedef struct { int first, last, count; } Terms; // of a thread and its block, and how many all blocks have
+typedef struct { int first, last, count; } Terms; // first term of a thread, end of its block, terms of all blocks
 
 #define ATOM(k) terms_of[(k)*terms.count+t]
 #define NUMBER(k) numbers[(k)*terms.count+t]
@@ -14,7 +16,8 @@ typedef struct { int first, last, count; } Terms; // of a thread and its block, 
     GLOBAL const NUMERIC* numbers
 #define NUMERIC fine
 
-// The terms of a kind that a thread has. Threads go on where those of the kinds before end, so that all have some.
+// Return the terms of a kind that a thread evaluates. The first term goes to the thread after the one that has the last
+// term of the previous kind, so that all threads have a similar number of terms.
 DEVICE inline Terms terms_of_kind(GLOBAL const int* row, int kind, int count, int* before) {
     const int first = row[FIRST_TERMS+2*kind], last = row[FIRST_TERMS+2*kind+1];
     const Terms terms = {first+(int) (LOCAL_ID+LOCAL_SIZE-*before)%(int) LOCAL_SIZE, last, count};
@@ -28,7 +31,7 @@ DEVICE inline Terms terms_of_kind(GLOBAL const int* row, int kind, int count, in
 #define CROSS(w, u, v) const NUMERIC w##0 = u##1*v##2-u##2*v##1, w##1 = u##2*v##0-u##0*v##2, w##2 = u##0*v##1-u##1*v##0
 #define ADD(a, f, u) add((f)*u##0, (f)*u##1, (f)*u##2, a, sums, broken, own)
 
-// Add to a sum of 64 bits in local memory. CUDA has no instruction for that, but one for each half, with a carry.
+// Add to a 64-bit sum in local memory. On CUDA, which has no such instruction, the halves are added with a carry.
 DEVICE inline void add_fixed(mm_long value, LOCAL_ARG mm_ulong* sum) {
 #ifdef __CUDA_ARCH__
     unsigned int* words = (unsigned int*) sum;
@@ -39,7 +42,8 @@ DEVICE inline void add_fixed(mm_long value, LOCAL_ARG mm_ulong* sum) {
 #endif
 }
 
-// Sums are in fixed point, as OpenMM's: their order does not matter. A force that has no place there breaks the block.
+// Add a force to the sum for atom a, in fixed point like OpenMM's sums, so that the order does not affect the result.
+// If a force is too large for fixed point, the block is marked as broken.
 DEVICE inline void add(fine f0, fine f1, fine f2, int a, LOCAL_ARG mm_ulong* sums, LOCAL_ARG int* broken, int own) {
     if (a >= own)
         return;
@@ -52,13 +56,13 @@ DEVICE inline void add(fine f0, fine f1, fine f2, int a, LOCAL_ARG mm_ulong* sum
     add_fixed((mm_long) (f2*(fine) FIXED_POINT), sums+3*a+2);
 }
 
-// Numbers: length, its square less `fine` digits of it, strength.
+// Numbers: length, square of the length rounded to `fine`, rounding error of this square, strength.
 DEVICE inline void add_bonds(IN_BLOCK) {
     EACH_TERM {
         const int a = ATOM(0), b = ATOM(1);
         const double d0 = xs[3*a]-xs[3*b], d1 = xs[3*a+1]-xs[3*b+1], d2 = xs[3*a+2]-xs[3*b+2], square = d0*d0+d1*d1+d2*d2;
         const fine u0 = (fine) d0, u1 = (fine) d1, u2 = (fine) d2, r = sqrt((fine) square), length = NUMBER(0);
-        if (r == 0) // it has no direction
+        if (r == 0) // a bond of zero length has no direction
             continue;
         const fine stretch = (fine) (square-(double) NUMBER(1)-(double) NUMBER(2))/(r+length), f = -NUMBER(3)*stretch/r;
         ADD(a, f, u);
@@ -85,7 +89,7 @@ DEVICE inline void add_angles(IN_BLOCK) {
     }
 }
 
-// Of a torsion: its cosine and sine, and the forces of -dV/dphi = 1 on the first and last atom, and through the axis.
+// Compute the cosine and sine of a torsion, and the forces on its four atoms for -dV/dphi = 1.
 #define TORSION(i, j, k, l) \
     DIFFERENCE(d, i, j); \
     DIFFERENCE(e, j, k); \
@@ -104,7 +108,7 @@ DEVICE inline void add_angles(IN_BLOCK) {
     ADD(k, -(f), o); \
     ADD(l, (f)*last, b);
 
-// Numbers: coefficients of cosines, then of sines.
+// Numbers: the coefficients of all cosines, then those of all sines.
 DEVICE inline void add_torsions(IN_BLOCK) {
     EACH_TERM {
         const int i = ATOM(0), j = ATOM(1), k = ATOM(2), l = ATOM(3);
@@ -120,7 +124,7 @@ DEVICE inline void add_torsions(IN_BLOCK) {
     }
 }
 
-// Numbers: angle, strength, and the circle as OpenMM's formula has it.
+// Numbers: angle, strength, and the period of the angle in OpenMM's formula.
 DEVICE inline void add_impropers(IN_BLOCK) {
     EACH_TERM {
         const int i = ATOM(0), j = ATOM(1), k = ATOM(2), l = ATOM(3);
@@ -130,7 +134,7 @@ DEVICE inline void add_impropers(IN_BLOCK) {
     }
 }
 
-// In twelfth powers, and in the place within a patch of a map, the digits of float are too few.
+// Float is not accurate enough for twelfth powers and for the position within a patch of a map.
 #undef NUMERIC
 #define NUMERIC double
 
@@ -148,7 +152,7 @@ DEVICE inline void add_pairs(IN_BLOCK) {
 
 #define CIRCLE 6.283185307179586
 
-// Write into which of so many parts of the circle an angle falls, and how far; the first part if it is no number.
+// Find which of `size` parts of the circle contains an angle, and the position within this part; nan is in part 0.
 DEVICE inline void find_patch(double cosine, double sine, int size, int* part, double* within) {
     double angle = atan2(sine, cosine);
     angle = angle < 0 ? angle+CIRCLE : angle;
@@ -156,7 +160,8 @@ DEVICE inline void find_patch(double cosine, double sine, int size, int* part, d
     *within = angle-*part*(CIRCLE/size);
 }
 
-// Atoms of both torsions, first patch and patches per direction; numbers are none, but coefficients of patches.
+// Integers: the atoms of both torsions, the first patch, and the patches per direction. Maps have no numbers other than
+// the coefficients of their patches.
 DEVICE inline void add_maps(IN_BLOCK, GLOBAL const double* patches) {
     EACH_TERM {
         const int size = ATOM(9);

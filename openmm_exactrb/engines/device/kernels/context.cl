@@ -1,7 +1,7 @@
-// Positions and velocities of the Context, in its three precisions. Particles are where their molecules are, not where
-// OpenMM moved these by vectors of the box: a place has the slot of an atom and by how many.
+// Access to positions and forces of the Context in single, mixed or double precision. OpenMM moves molecules by box
+// vectors. These functions undo this displacement: a place contains the slot of an atom and its numbers of box vectors.
 
-// Written out: an array whose elements have numbers that a compiler knows needs no memory.
+// Unrolled loop: with constant indices, the compiler can keep arrays in registers.
 #define EACH(k, n) _Pragma("unroll") for (int k = 0; k < n; k++)
 
 DEVICE inline void cell_of(int4 place, GLOBAL const double* box, double* shift) {

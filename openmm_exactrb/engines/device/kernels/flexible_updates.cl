@@ -1,7 +1,7 @@
-// Behind what OpenMM does between steps: its changes of velocities and of positions are those of flexible molecules too.
-// What it left alone stays as it was, to the last bit. Then what the host is told.
+// Transfer OpenMM's changes of velocities and positions between steps to the state of flexible molecules, and compute
+// the kinetic energy for the host. Atoms that OpenMM did not change keep their state to the last bit.
 
-// Changes of velocities (CMMotionRemover, AndersenThermostat) are those of these atoms, or of another state of them.
+// Add changes of velocities (CMMotionRemover, AndersenThermostat) to these velocities, or to those of another state.
 KERNEL void flexible_pushed(GLOBAL const mixed4* velm, GLOBAL const int4* places, GLOBAL const int* atoms, GLOBAL const double* v,
         GLOBAL double* v_to) {
     for (int i = GLOBAL_ID; i < ALL_ATOMS; i += GLOBAL_SIZE) {
@@ -12,7 +12,7 @@ KERNEL void flexible_pushed(GLOBAL const mixed4* velm, GLOBAL const int4* places
     }
 }
 
-// Changes of positions (barostats); atoms without mass may be moved by the user too.
+// Accept changes of positions, by barostats or, for massless atoms, by the user.
 KERNEL void flexible_moved(GLOBAL const real4* posq, GLOBAL const real4* posqCorrection, GLOBAL const int4* places, GLOBAL const double* box,
         GLOBAL const int* atoms, GLOBAL double* x) {
     for (int i = GLOBAL_ID; i < ALL_ATOMS; i += GLOBAL_SIZE) {
@@ -24,7 +24,8 @@ KERNEL void flexible_moved(GLOBAL const real4* posq, GLOBAL const real4* posqCor
     }
 }
 
-// Kinetic energy, which has no part of rotation, and how many atoms have no finite state or are faster than light.
+// Sum the kinetic energy and the number of invalid atoms: those with a non-finite state, or faster than light. The
+// second sum, the kinetic energy of rotation, is zero for atoms.
 KERNEL void flexible_kinetic(GLOBAL const double* inverse, GLOBAL const double* x, GLOBAL const double* v, GLOBAL double* sums) {
     LOCAL double shared[3*BLOCK];
     double mine[3] = {0.0, 0.0, 0.0};

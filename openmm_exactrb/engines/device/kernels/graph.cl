@@ -1,6 +1,5 @@
-// Free motion of a cluster of any graph along the geodesics of its constraints, as
-// openmm_exactrb.kernels.compiled.clusters has it, where the series is derived. A thread moves a cluster, and works in
-// global memory: numbers of one kind of all clusters stand beside each other.
+// Free motion of a cluster with any constraint graph, by the series of openmm_exactrb.kernels.compiled.clusters. One
+// thread moves a cluster, with a workspace in global memory in which the same number of all clusters is contiguous.
 
 #define PART(place) room[(place)*GRAPHS+graph]
 #define MOST MOST_CONSTRAINTS
@@ -28,7 +27,7 @@
 #define COUPLING(c, d) ((FIRST(c) == FIRST(d) ? INVERSE(FIRST(c)) : 0.0)+(SECOND(c) == SECOND(d) ? INVERSE(SECOND(c)) : 0.0) \
     -(FIRST(c) == SECOND(d) ? INVERSE(FIRST(c)) : 0.0)-(SECOND(c) == FIRST(d) ? INVERSE(SECOND(c)) : 0.0))
 
-// Solve for B with the factor of the matrix.
+// Solve the linear system for the right-hand side B, in place, with the Cholesky factor of the matrix.
 #define SOLVE \
     EACH_CONSTRAINT { \
         for (int d = 0; d < c; d++) \
@@ -41,13 +40,13 @@
             B(d) -= FACTOR(c, d)*B(c); \
     }
 
-// Sum vectors of constraints over those of each atom, with their signs.
+// Compute the signed sum of a vector over the constraints of each atom.
 #define GATHER(VECTOR) \
     EACH_ATOM EACH_AXIS ON_ATOM(i, e) = 0.0; \
     EACH_CONSTRAINT EACH_AXIS { ON_ATOM(FIRST(c), e) += VECTOR(c, e); ON_ATOM(SECOND(c), e) -= VECTOR(c, e); }
 #define RELATIVE(c, e) (INVERSE(FIRST(c))*ON_ATOM(FIRST(c), e)-INVERSE(SECOND(c))*ON_ATOM(SECOND(c), e))
 
-// Advance a cluster by t (ps); for t = 0 velocities lose their parts along the constraints, and that is all.
+// Advance a cluster by t (ps). For t = 0, only project the velocities, which removes components along constraints.
 DEVICE inline void move_graph(double t, GLOBAL const int* cluster, int at, GLOBAL const double* inverse, GLOBAL const double* lengths,
         GLOBAL const int* ends, GLOBAL double* room, LOCAL_ARG double* xs, GLOBAL double* v) {
     const int first = cluster[FIRST_CONSTRAINT], graph = cluster[GRAPH];
@@ -72,7 +71,7 @@ DEVICE inline void move_graph(double t, GLOBAL const int* cluster, int at, GLOBA
         if (t == 0.0)
             return;
 
-        // Bring lengths back by what rounding has changed, then follow the series.
+        // Correct the rounding errors of the lengths, then compute the series.
         const double time = part*t;
         double bound = 0.0;
         EACH_CONSTRAINT B(c) = 0.5*(LENGTH(c)*LENGTH(c)-PRODUCT(c, c));
@@ -123,7 +122,7 @@ DEVICE inline void move_graph(double t, GLOBAL const int* cluster, int at, GLOBA
         }
         else if (part > SHORTEST)
             part *= 0.5;
-        else { // the divergence check sees it
+        else { // the divergence check detects these values
             EACH_ATOM EACH_AXIS X(i, e) = V(i, e) = NOT_A_NUMBER;
             return;
         }

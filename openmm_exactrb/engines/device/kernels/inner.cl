@@ -1,19 +1,19 @@
-// What flexible molecules do between two evaluations of the slow forces. A block of threads has the atoms of some
-// clusters, and beside them those with which they have terms in common. It evaluates all terms that touch its own atoms,
-// so that terms across a border are evaluated in both blocks; kicks its atoms, exchanges heat, and lets its clusters
-// move along their constraints.
+// The moves of flexible molecules between two evaluations of the slow forces. A block of threads owns the atoms of some
+// clusters, and also reads the atoms of other blocks that share terms with them. The block evaluates all terms of its
+// own atoms, so that a term between two blocks is evaluated in both. It then kicks its atoms, exchanges heat, and
+// advances its clusters along their constraints.
 //
-// What happens is in rows of the table of moves: kicks by the fast forces and by the slow ones, which are all forces, as
-// OpenMM has them, less the fast ones, heat exchanges, and drifts. A launch makes all moves of a segment if no block has
-// terms with atoms of another one. Else it ends with the first drift, and positions go to another array, so that no
-// block reads what a neighbour has written.
+// The table of moves contains kicks by fast forces, kicks by slow forces, heat exchanges and drifts. The slow forces
+// are OpenMM's forces minus the fast forces. If no blocks share terms, a launch performs all moves of a segment.
+// Otherwise it ends with the first drift, and writes positions to another array, so that no block reads new positions
+// of another.
 
 #define OF_MOVE(k, column) moves[MOVE_ROW*(k)+column]
 #define TAU(k) numbers[OF_MOVE(k, FIRST_NUMBER)]
 #define OF_KIND(kind, all) terms_of_kind(row, kind, all, &before)
 #define OF_BLOCK xs, sums, &broken, own
 
-// Kick an atom and exchange its heat: the moves from `first` to `last`.
+// Perform the moves from `first` to `last` - 1 of an atom: kicks and heat exchanges.
 DEVICE inline void move_atom(int atom, int first, int last, GLOBAL const int* moves, GLOBAL const double* numbers, LOCAL_ARG const mm_ulong* sum,
         GLOBAL const mm_long* force, int slot, int body, int flexible, double inverse, GLOBAL const double* factors, mm_long key, mm_long step, mm_long turns,
         GLOBAL double* memory, GLOBAL double* v) {
@@ -106,7 +106,7 @@ KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL
                     step, (mm_long) turns, memory, v);
             }
             SYNC_THREADS
-            // Behind the last drift velocities have to be along the constraints only where somebody wants to know them.
+            // After the last drift, velocities need a projection only if they are read (PROJECTS).
             if (stop < end || what & PROJECTS) {
                 const double t = stop < end ? TAU(stop) : 0.0;
                 for (int begin = 0; begin < row[CLUSTERS]; begin += LOCAL_SIZE/TEAM) {

@@ -1,4 +1,5 @@
-// Kinetic energies of translation and of rotation, and how many bodies have no finite state or are faster than light.
+// Sum the kinetic energies of translation and of rotation, and the number of invalid bodies: those with a non-finite
+// state, or faster than light.
 
 KERNEL void kinetic(GLOBAL const int* kind, GLOBAL const int* kinds, GLOBAL const double* constants, STATE, GLOBAL double* sums) {
     LOCAL double shared[3*BLOCK];

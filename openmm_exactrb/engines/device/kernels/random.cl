@@ -1,5 +1,5 @@
-// Random numbers of a body, a step and a stream, in any order: Philox4x64-10 (J. K. Salmon and others, SC11) and the
-// transformation of Box and Muller, as openmm_exactrb.mechanics.rng has them.
+// Counter-based random numbers for a body, a step and a stream: Philox4x64-10 (J. K. Salmon and others, SC11) and the
+// Box-Muller transform, with the same numbers as in openmm_exactrb.mechanics.rng.
 
 #ifdef __OPENCL_VERSION__
 #define HIGH_PRODUCT(a, b) mul_hi(a, b)
@@ -22,12 +22,13 @@ DEVICE inline void philox(mm_ulong key, mm_ulong* c) {
     }
 }
 
-// A number between 0 and 1, neither of which it is.
+// Return a number in the open interval (0, 1).
 DEVICE inline double uniform(mm_ulong word) {
     return ((double) (word>>11)+0.5)*(1.0/9007199254740992.0);
 }
 
-// Four normal numbers: of a key, a step, a stream (16 times the number of a substep, and the purpose) and a body.
+// Draw four normal random numbers for a key, a step, a stream (16 times the number of a substep, plus the purpose) and
+// a body.
 DEVICE inline void normals(mm_long key, mm_long step, int stream, int body, double* n) {
     mm_ulong c[4] = {(mm_ulong) body+1, 0, (mm_ulong) stream, (mm_ulong) step};
     philox((mm_ulong) key, c);

@@ -1,7 +1,9 @@
-// What happens to rigid bodies between two force evaluations, in one launch; OWN_MOVES has the cases of users' moves.
+// The moves of rigid bodies between two force evaluations, in one launch. OWN_MOVES contains the `case` labels of
+// users' moves.
 
-// A heat exchange: friction and noise, or two factors. Numbers are tau, and the fade and the spread of translation and
-// of rotation, then the same of bodies in flexible molecules.
+// Exchange heat: apply friction and noise, or multiply momenta by two factors. The numbers are tau, and the friction
+// factor and the amplitude of the noise, for translation and then for rotation. The last four numbers are those of
+// bodies in flexible molecules.
 DEVICE inline void exchange(Body* body, GLOBAL const double* constants, GLOBAL const double* numbers, GLOBAL const double* factors,
         int flexible, mm_long key, mm_long step, int number, int index) {
 #ifdef SCALES
@@ -149,7 +151,7 @@ KERNEL void segment(CONTEXT, GLOBAL const mm_long* force, TABLES, STATE, GLOBAL 
                 q_[k*BODIES+i] = body.q[k];
         }
 #if LANES > 1
-        // Through the state, which other threads of the body have not seen yet. What is displaced is so for all alike.
+        // The other threads of the body read the new state from global memory. The displacement is the same for all.
         SYNC_THREADS
         if (LANE != 0)
             for (int row = first; row < first+count; row++)

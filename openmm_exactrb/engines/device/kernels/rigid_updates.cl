@@ -1,8 +1,8 @@
-// Behind what OpenMM does between steps: its changes of velocities and of positions are those of the bodies too. What
-// it left alone stays as it was, to the last bit. Then what the host is told.
+// Transfer OpenMM's changes of velocities and positions between steps to the state of the bodies. Bodies that OpenMM
+// did not change keep their state to the last bit.
 
-// Changes of velocities (CMMotionRemover, AndersenThermostat) become changes of momenta: of these bodies, or of another
-// state of them.
+// Convert changes of velocities (CMMotionRemover, AndersenThermostat) to changes of momenta, and add these to this
+// state of the bodies, or to another one.
 KERNEL void pushed(CONTEXT, TABLES, STATE, GLOBAL double* P_to, GLOBAL double* L_to) {
     SHARED
     FOR_BODIES {
@@ -38,7 +38,7 @@ KERNEL void pushed(CONTEXT, TABLES, STATE, GLOBAL double* P_to, GLOBAL double* L
     }
 }
 
-// Changes of positions (barostats) become changes of centres; a barostat turns no body.
+// Convert changes of positions by barostats, which do not rotate bodies, to changes of their centres.
 KERNEL void moved(CONTEXT, TABLES, STATE) {
     SHARED
     FOR_BODIES {

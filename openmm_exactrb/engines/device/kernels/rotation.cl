@@ -1,15 +1,16 @@
-// The exact flow of the free rigid body: the formulas of openmm_exactrb.kernels.compiled.exact for short steps, of which
-// longer ones are made, with fewer divisions and roots. SIX_NODES and TEN_NODES are sums of the integrand at the nodes
-// of the rules of openmm_exactrb.mathematics.elliptic.
+// The exact flow of the free rigid body, with the formulas for short steps of openmm_exactrb.kernels.compiled.exact,
+// but fewer divisions and roots. A longer step is a sequence of short steps. SIX_NODES and TEN_NODES are the sums of
+// the quadrature rules of openmm_exactrb.mathematics.elliptic.
 
-// Up to this b G t a step is short; a body of more short ones has diverged.
+// The largest b G t of a short step. A body that needs more than MOST_PARTS short steps has diverged.
 #define SHORT 0.3
 #define MOST_PARTS 10000.0
-// Rounds to 26 bits: a number of magnitude 1 or less, plus and minus this; and this rounds to whole numbers.
+// Adding and then subtracting TO_GRID rounds numbers between -1 and 1 to 26 bits; TO_WHOLE rounds to whole numbers.
 #define TO_GRID 100663296.0
 #define TO_WHOLE 6755399441055744.0
 
-// w = sn(v)/c at s = v/c, 1-cn(v) and 1-dn(v): a Taylor series at half of s, and one duplication.
+// Return w = sn(v)/c at s = v/c, and write 1-cn(v) and 1-dn(v). A Taylor series is evaluated at s/2, and the argument
+// is then doubled.
 DEVICE inline double jacobi_short(double s, double x, double z, double* cn_less, double* dn_less) {
     double short_s = 0.5*s, u = short_s*short_s, P = (x+z)*u, Q = (x*z)*(u*u);
     double in_P = 1.0+P*(-1.0/6+P*(1.0/120+P*(-1.0/5040+P*(1.0/362880-P*(1.0/39916800)))));
@@ -28,11 +29,11 @@ DEVICE inline double integrand(double u, double x, double z, double b) {
 
 DEVICE inline double third_kind_short(double w, double x, double z, double b) {
     double u = w*w;
-    // Six nodes have an error of about w^13/1e7.
+    // The error with six nodes is about w^13/1e7.
     return w*(u <= 0.0225 ? SIX_NODES : TEN_NODES);
 }
 
-// Cosine and sine by their Taylor series, after a reduction by multiples of pi/2.
+// Compute the cosine and sine by Taylor series after a reduction by multiples of pi/2.
 DEVICE inline void cosine_and_sine(double angle, double* cosine, double* sine) {
     double turns = (angle*0.63661977236758134+TO_WHOLE)-TO_WHOLE;
     double r = ((angle-turns*1.5707963267341256)-turns*6.077100506303966e-11)-turns*2.0222662487959506e-21, u = r*r;
@@ -47,12 +48,12 @@ DEVICE inline void cosine_and_sine(double angle, double* cosine, double* sine) {
     *sine = half_turn || quadrant == -1.0 ? -second : second;
 }
 
-// 1-c for a point (c, s) of the unit circle, by c and the square of s.
+// Return 1-c for a point (c, s) of the unit circle, from c and the square of s, without cancellation.
 DEVICE inline double versine(double c, double square_s) {
     return c > 0.0 ? square_s/(1.0+c) : 1.0-c;
 }
 
-// 1-q.q to twice the digits.
+// Return 1-q.q of a unit quaternion, with an error of 1e-24.
 DEVICE inline double norm_defect(const double* q) {
     double squares = 0.0, rest = 0.0;
     EACH(k, 4) {
@@ -63,7 +64,7 @@ DEVICE inline double norm_defect(const double* q) {
     return (1.0-squares)-rest;
 }
 
-// q times the rotation by (1+t0, t1, t2, t3), in place.
+// Multiply q by the quaternion (1+t0, t1, t2, t3), in place.
 DEVICE inline void turn(double* q, double t0, double t1, double t2, double t3) {
     double q0 = q[0], q1 = q[1], q2 = q[2], q3 = q[3], defect = 0.5*norm_defect(q);
     q[0] = q0+((q0*t0-q1*t1-q2*t2-q3*t3)+q0*defect);
@@ -72,7 +73,7 @@ DEVICE inline void turn(double* q, double t0, double t1, double t2, double t3) {
     q[3] = q3+((q0*t3+q1*t2-q2*t1+q3*t0)+q3*defect);
 }
 
-// `G` is |m|, and `body` has b, rho, sigma and 1/I3.
+// Advance a body by a short step; `G` is |m|, and `body` contains b, rho, sigma and 1/I3.
 DEVICE inline void rotate_short(double t, double G, GLOBAL const double* body, double* q, double* m) {
     const double b = body[0], rho = body[1], sigma = body[2], inverse_I3 = body[3];
     double x1 = m[0], x2 = m[1], x3 = m[2], hG = t*G, flip = x3 < 0.0 ? -1.0 : 1.0;
@@ -93,7 +94,7 @@ DEVICE inline void rotate_short(double t, double G, GLOBAL const double* body, d
     other = re*cd-im*w; im = re*w+im*cd; re = other;
     double across_re = y1*n1+y2*n2, across_im = y2*d1-y1*d2;
     other = re*across_re-im*across_im; im = re*across_im+im*across_re; re = other;
-    double size = sqrt(re*re+im*im), sum = size+fabs(re), over = 1.0/sqrt(2.0*size*sum);  // of half the angle of (re, im)
+    double size = sqrt(re*re+im*im), sum = size+fabs(re), over = 1.0/sqrt(2.0*size*sum);  // for half the angle of (re, im)
     double larger = sum*over, smaller = fabs(im)*over, sign = im < 0.0 ? -1.0 : 1.0;
     double hc = re < 0.0 ? smaller : larger, hs = re < 0.0 ? sign*larger : sign*smaller;
     double c = cosine*hc-sine*hs, e = sine*hc+cosine*hs, less = versine(c, e*e);
@@ -111,8 +112,8 @@ DEVICE inline void rotate_short(double t, double G, GLOBAL const double* body, d
     turn(q, t0, flip*t1, t2, flip*t3);
 }
 
-// The flow of a time is that of its parts, so that longer steps are several short ones: exact too. What turns too fast
-// has diverged, and is no number behind it.
+// Advance a body by t. A long step is divided into short steps, and is therefore also exact. A body that rotates too
+// fast has diverged, and becomes nan.
 DEVICE inline void rotate(double t, GLOBAL const double* body, double* q, double* m) {
     double G = sqrt(m[0]*m[0]+m[1]*m[1]+m[2]*m[2]), parts = ceil(fabs(body[0]*t)*G*(1.0/SHORT));
     if (G <= 1e-70 || t == 0.0)
@@ -129,7 +130,7 @@ DEVICE inline void rotate(double t, GLOBAL const double* body, double* q, double
         rotate_short(t, G, body, q, m);
 }
 
-// The rotation matrix of a quaternion.
+// Compute the rotation matrix of a quaternion.
 DEVICE inline void attitude(const double* q, double* Q) {
     double w = q[0], x = q[1], y = q[2], z = q[3];
     Q[0] = 1-2*(y*y+z*z); Q[1] = 2*(x*y-w*z); Q[2] = 2*(x*z+w*y);
@@ -137,7 +138,7 @@ DEVICE inline void attitude(const double* q, double* Q) {
     Q[6] = 2*(x*z-w*y); Q[7] = 2*(y*z+w*x); Q[8] = 1-2*(x*x+y*y);
 }
 
-// q exp(v/2 as a rotation by |v| about v), as openmm_exactrb.quaternions.exponential has it.
+// Multiply q by the quaternion of a rotation by |v| about v: openmm_exactrb.mathematics.quaternions.exponential.
 DEVICE inline void turn_by(double* q, const double* v) {
     double square = v[0]*v[0]+v[1]*v[1]+v[2]*v[2], angle = sqrt(square);
     double part = angle > 1e-8 ? sin(0.5*angle)/angle : 0.5, cosine = cos(0.5*angle);

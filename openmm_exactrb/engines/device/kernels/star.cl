@@ -1,15 +1,16 @@
-// Free motion of stars, whose first atom is held to all others, along the geodesics of their constraints: the series of
-// openmm_exactrb.kernels.compiled.clusters, where it is derived. A team of threads moves a star, with one constraint for
-// each thread and the outer atom of it, and with a copy of the first atom; on OpenCL, where threads of a team cannot
-// talk to each other without a barrier, a team is one thread. A single atom is a star without constraints.
+// Free motion of stars, clusters whose first atom is constrained to all others, by the series of
+// openmm_exactrb.kernels.compiled.clusters. A team of threads moves a star. Each thread has one constraint with its
+// outer atom, and a copy of the first atom. On OpenCL, where threads cannot exchange numbers without a barrier, a team
+// is a single thread. A single atom is a star without constraints.
 //
-// With r_c from the outer atom c to the first one, w_c its inverse mass and w that of the first atom, the matrix of the
-// constraints is D + w R R^T, where R has the rows r_c, and D_c = w_c r_c.r_c. Hence A x = b has the solution
+// Let r_c be the vector from the outer atom c to the first atom, w_c the inverse mass of atom c, and w that of the
+// first atom. The matrix of the constraints is A = D + w R R^T, where R has the rows r_c, and D_c = w_c r_c.r_c. The
+// solution of A x = b is
 //
 //     x_c = (b_c - w r_c.g)/D_c,   g = sum_c x_c r_c = (1 + w K)^-1 sum_c r_c b_c/D_c,   K = sum_c r_c r_c^T/D_c,
 //
-// so that the threads of a team have nothing but sums to tell each other. They do so by shuffles, for which all threads
-// of a warp go the same way, until the last of its stars has arrived.
+// so that the threads of a team exchange only sums. They use shuffles, for which all threads of a warp must execute the
+// same instructions, until the last star of the warp is complete.
 
 #if defined(__OPENCL_VERSION__)
 #define TEAM 1
@@ -26,7 +27,7 @@
 #define HELD (RAYS/TEAM) // constraints of a thread
 #define EACH_CONSTRAINT EACH(c, HELD)
 #define EACH_AXIS EACH(e, 3)
-// Written out where numbers can be in registers then.
+// Loops are unrolled if the arrays then fit into registers.
 #if TEAM > 1
 #define EACH_ORDER EACH(k, ORDERS)
 #define EACH_BEFORE(j, n) EACH(j, n)
@@ -37,7 +38,7 @@
 #define ALONG(u, v, c) ((u)[0][c]*(v)[0][c]+(u)[1][c]*(v)[1][c]+(u)[2][c]*(v)[2][c])
 #define ALONG_ALL(u, g, c) ((u)[0][c]*(g)[0]+(u)[1][c]*(g)[1]+(u)[2][c]*(g)[2])
 
-// Sums of each component over the constraints of a star, and the largest of numbers that are not negative.
+// Sum each component over the constraints of a star; `team_max` returns the largest of non-negative numbers.
 DEVICE inline void team_sum(const double (*of_constraint)[HELD], double* s, int components) {
     for (int e = 0; e < components; e++) {
         s[e] = 0.0;
@@ -58,7 +59,7 @@ DEVICE inline double team_max(double x) {
     return x;
 }
 
-// The product with a symmetric matrix, and the inverse of 1 + w K.
+// Multiply by a symmetric matrix; `invert` computes the inverse of 1 + w K.
 DEVICE inline void multiply(const double* K, const double* s, double* g) {
     g[0] = K[0]*s[0]+K[1]*s[1]+K[2]*s[2];
     g[1] = K[1]*s[0]+K[3]*s[1]+K[4]*s[2];
@@ -76,8 +77,9 @@ DEVICE inline void invert(double w, const double* K, double* inverse) {
     inverse[5] = over*(a*d-b*b);
 }
 
-// Advance a cluster by t (ps) if it is a star; for t = 0 velocities lose their parts along the constraints, and that is
-// all. Its first atom has the place `at` in the block. A thread without a cluster (`idle`) comes along.
+// Advance a cluster by t (ps) if it is a star. For t = 0, only project the velocities, which removes components along
+// constraints. The first atom has the index `at` in the block. A thread without a cluster is `idle`, but takes part in
+// shuffles.
 DEVICE inline void move_star(bool idle, double t, GLOBAL const int* cluster, int at, GLOBAL const double* inverse_masses, GLOBAL const double* lengths,
         LOCAL_ARG double* xs, GLOBAL double* v) {
     const bool moves = !idle && cluster[GRAPH] < 0;
@@ -141,8 +143,8 @@ DEVICE inline void move_star(bool idle, double t, GLOBAL const int* cluster, int
         if (t == 0.0)
             break;
 
-        // Bring lengths back by what rounding has changed, then follow the series. Of the first atom, sums are those over
-        // all constraints.
+        // Correct the rounding errors of the lengths, then compute the series. For the first atom, sums run over all
+        // constraints.
         const double time = part*t, over_time = 1.0/time;
         double shift0[3], push0[3], shift[3][HELD], push[3][HELD], G[3], S[3][HELD], bound = 0.0;
         multiply(inverse, s+3, shift0);
@@ -217,7 +219,7 @@ DEVICE inline void move_star(bool idle, double t, GLOBAL const int* cluster, int
         }
         else if (part > SHORTEST)
             part *= 0.5;
-        else if (remaining > 0.0) { // the divergence check sees it
+        else if (remaining > 0.0) { // the divergence check detects these values
             EACH_AXIS {
                 X0[e] = V0[e] = NOT_A_NUMBER;
                 EACH_CONSTRAINT

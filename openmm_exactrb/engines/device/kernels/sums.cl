@@ -1,4 +1,4 @@
-// Sums of three numbers over the threads of a launch of at most GROUPS blocks of BLOCK.
+// Sums of three numbers over the threads of a launch, which has at most GROUPS blocks of BLOCK threads.
 
 DEVICE inline void add_up(LOCAL_ARG double* shared) {
     SYNC_THREADS
@@ -19,7 +19,7 @@ DEVICE inline void write_sums(const double* mine, LOCAL_ARG double* shared, GLOB
             sums[3*GROUP_ID+k] = shared[k*BLOCK];
 }
 
-// The sums of all groups of threads of a part, in one block: added to those of other parts, or in their place.
+// Sum the results of all blocks of a part of the program, and write them to `totals` or, if `adds`, add them.
 KERNEL void total(GLOBAL const double* sums, GLOBAL double* totals, int adds) {
     LOCAL double shared[3*BLOCK];
     for (int k = 0; k < 3; k++) {

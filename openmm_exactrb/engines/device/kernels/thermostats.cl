@@ -1,12 +1,13 @@
-// The two numbers by which a heat exchange multiplies momenta, of translation and of rotation, from the kinetic energies
-// in totals. Numbers of the exchange: tau, kT, the relaxation time or the frequency, the degrees of freedom of
-// translation and of rotation, and whether one number is for both. One thread.
+// The factors by which a heat exchange multiplies momenta of translation and of rotation, from the kinetic energies in
+// `totals`. The numbers of the exchange are tau, kT, the relaxation time or the frequency, the degrees of freedom of
+// translation and of rotation, and whether both have a common factor. A single thread computes the factors.
 
 #define FACTORS GLOBAL const double* totals, GLOBAL double* factors, GLOBAL double* own, GLOBAL const int* moves, \
     GLOBAL const double* numbers, int row, mm_long step, double key
 
 #ifdef RESCALING
-// A gamma variate: G. Marsaglia and W. W. Tsang (2000), doi:10.1145/358407.358414, as openmm_exactrb.mechanics.rng has it.
+// Draw a gamma variate, as openmm_exactrb.mechanics.rng does: G. Marsaglia and W. W. Tsang (2000),
+// doi:10.1145/358407.358414.
 DEVICE inline double gamma_variate(mm_long key, mm_long step, int stream, double shape) {
     if (shape <= 0.0)
         return 0.0;
@@ -20,7 +21,7 @@ DEVICE inline double gamma_variate(mm_long key, mm_long step, int stream, double
     }
 }
 
-// Of a kinetic energy with f degrees of freedom: the law of openmm_exactrb.thermostats.rescaling.
+// Return the factor of momenta with f degrees of freedom, by the rule of openmm_exactrb.thermostats.rescaling.
 DEVICE inline double scaling(double kinetic, double f, double kT, double elapsed, mm_long key, mm_long step, int stream) {
     if (kinetic == 0.0 || f == 0.0 || elapsed == 0.0)
         return 1.0;
@@ -52,8 +53,8 @@ KERNEL void rescaling(FACTORS) {
 #endif
 
 #ifdef CHAIN
-// The flow of a chain of CHAIN links over tau and of the momenta that it scales, as openmm_exactrb.thermostats.nose_hoover
-// has it: coordinates and velocities are x and x+CHAIN.
+// Advance a Nose-Hoover chain of CHAIN links by tau, and return the factor of the momenta, with the formulas of
+// openmm_exactrb.thermostats.nose_hoover. The coordinates start at x, and the velocities at x+CHAIN.
 DEVICE inline double chain(GLOBAL double* x, double kinetic, double f, double kT, double frequency, double tau) {
     const double weights[] = {WEIGHTS};
     GLOBAL double* v = x+CHAIN;
