@@ -151,7 +151,7 @@ def _named_bodies(system: openmm.System, masses: Array, bodies: Sequence[Sequenc
             warn(
                 f"body {number} has the mass and inertia of {len(massive)} particles, because the other "
                 f"{len(particles) - len(massive)} are virtual sites: if createRigidBodies or set_rigid_bodies made "
-                "them, name the body in the System as it was before",
+                "them, create the System again without that call, and pass the same bodies=",
                 ShapeWarning,
             )
         named.append(massive)
@@ -168,7 +168,8 @@ def _clusters(held: Rows, masses: Array, given: list[Indices]) -> Iterable[tuple
     if leading_out.any():
         p, q = pairs[np.argmax(leading_out)]
         raise ValueError(
-            f"the constraint between particles {p} and {q} joins a rigid body to another part: remove this constraint"
+            f"the constraint between particles {p} and {q} joins a body of bodies= to a particle outside that body: "
+            "name both particles in the same body, or remove this constraint"
         )
     links = [pairs, *(np.column_stack([np.full(len(b), b[0]), b]) for b in given)]
     rows, columns = np.concatenate(links).T

@@ -43,7 +43,7 @@ def exponential(turn: Array) -> Array:
 
 
 def renormalise(x: Array) -> Array:
-    """Normalise component-first vectors that are unit up to roundoff, in place.
+    """Normalise, in place, component-first vectors whose length is 1 up to roundoff.
 
     The correction x (1 - x.x)/2 is added, because the rounding errors of division by a square root have a bias, which
     causes a drift over a million steps.

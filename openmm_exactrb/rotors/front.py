@@ -1,4 +1,4 @@
-"""The public function of the flows, for any number of bodies and any moments, momenta and times."""
+"""The public function `free_rotor`, which rotates any number of free rigid bodies with any rotor."""
 
 from __future__ import annotations
 

@@ -1,8 +1,9 @@
 """The free rotor by quaternions: q = p(0)^-1 y p(t), where p turns the momentum to axis 3, and y turns about axis 3.
 
-The smallest rotation is p = (1 + x3, x2, -x1, 0)/sqrt(2 (1 + x3)), the half-angle form of equations (33) to (37) of the
-paper. Each choice of p in the paper differs from the smallest rotation by a rotation through an angle theta about axis
-3. Such rotations commute with y, so that theta(t) - theta(0) is added to the angle psi of y.
+The smallest rotation that does so is p = (1 + x3, x2, -x1, 0)/sqrt(2 (1 + x3)), where x is the unit vector of the
+momentum; this is the half-angle form of equations (33) to (37) of the paper. Each choice of p in the paper differs from
+the smallest rotation by a rotation through an angle theta about axis 3. Such rotations commute with y, so that theta(t)
+- theta(0) is added to the angle psi of y.
 
 Domain: the three moments differ, and the momentum is nonzero and neither on a principal axis nor on the separatrix.
 Bodies outside of this domain use the `exact` flow.

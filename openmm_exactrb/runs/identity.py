@@ -17,7 +17,10 @@ _LONGEST = 100  # characters of a value in a message
 
 
 def identity_of(simulation: Any) -> dict[str, str]:
-    """Return all values that determine a run to the last bit; the call fixes the shapes of bodies named by hand."""
+    """Return all values that determine a run bit for bit.
+
+    As a side effect, the shapes of the bodies in ``bodies=`` are determined from the current positions.
+    """
     integrator = simulation.integrator
     identity = {
         "openmm": openmm.__version__,

@@ -58,8 +58,8 @@ def rigid_sites(mass: float | unit.Quantity, inertia: ArrayLike | unit.Quantity)
     moments = checks.array(each, "inertia", "three positive moments in amu nm²")
     if moments.shape != (3,) or not (np.isfinite(moments).all() and (moments > 0.0).all()):
         raise ValueError(
-            f"inertia must be three positive moments in amu nm², not {inertia!r}, because a linear body cannot carry "
-            "this dipole"
+            f"inertia must be three positive moments in amu nm², not {inertia!r}: linear bodies, which have a moment "
+            "of zero, are not supported"
         )
     mass = checks.positive(stripped(mass, unit.dalton), "mass", "amu")
     if moments.min() < _THINNEST * moments.max():
