@@ -101,8 +101,8 @@ def _numbered(scheme: Scheme, sequence: Sequence) -> Scheme:
 def proposal(scheme: Scheme, steps: int) -> Scheme:
     """Return a scheme whose step consists of a number of steps of another scheme.
 
-    Metropolis's rule requires a scheme that is symmetric in time and contains no thermostat; otherwise a ValueError is
-    raised.
+    The Metropolis test requires a scheme that is symmetric in time and contains no thermostat; otherwise a ValueError
+    is raised.
     """
     if scheme.has(HEAT_EXCHANGE):
         raise ValueError(

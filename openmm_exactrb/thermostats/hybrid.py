@@ -112,7 +112,7 @@ class HybridMonteCarlo(Langevin):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        positive(self.temperature, "the temperature of Metropolis's rule", "K")
+        positive(self.temperature, "the temperature of the Metropolis test", "K")
         whole(self.stepsPerProposal, "stepsPerProposal")
 
     def kernel_exchange(self, tau: float, freedom: tuple[int, int]) -> None:  # type: ignore[override]

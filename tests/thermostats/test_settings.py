@@ -78,7 +78,7 @@ def test_other_bad_settings_get_a_sentence_too():
         langevin(scheme="V2_C17")
     with pytest.raises(ValueError, match="a relaxation time must be a positive number of ps"):
         rb.ExactRigidBodyRescalingIntegrator(300.0, 0.0, 0.002)
-    with pytest.raises(ValueError, match="the temperature of Metropolis's rule must be a positive number"):
+    with pytest.raises(ValueError, match="the temperature of the Metropolis test must be a positive number"):
         rb.ExactRigidBodyHybridIntegrator(0.0, 1.0, 0.002)
     with pytest.raises(ValueError, match="together must be True or False, not 'no'"):
         rb.ExactRigidBodyRescalingIntegrator(300.0, 1.0, 0.002, together="no")
@@ -95,7 +95,7 @@ def test_other_bad_settings_get_a_sentence_too():
 
 def test_a_temperature_that_is_refused_leaves_the_one_there_was():
     hybrid = rb.ExactRigidBodyHybridIntegrator(300.0, 1.0, 0.002)
-    with pytest.raises(ValueError, match="the temperature of Metropolis's rule must be a positive number"):
+    with pytest.raises(ValueError, match="the temperature of the Metropolis test must be a positive number"):
         hybrid.setTemperature(0.0)
     for integrator in (hybrid, langevin()):
         with pytest.raises(ValueError, match="a temperature must"):
