@@ -1,10 +1,10 @@
 """Figure 1: precision and cost of all methods on [0, 10], over twenty step sizes, for 100 random bodies.
 
 The figure compares exact methods with approximations by Gauss's rule and with Moser-Veselov methods. The verdicts are
-those of ten draws of 100 bodies. Costs in the picture and in the claims are processor times of compiled code, since
-those of the paper are of Fortran. Each method of the paper is written body by body, in the same style, and agrees to
-roundoff with the same method in numpy. The paper draws random inertias and does not state whether I1 + I2 >= I3 holds.
-It holds for ours; only the runs that converge are counted for both kinds of inertias.
+those of ten draws of 100 bodies. Costs in the picture and in the claims are processor times of compiled code, because
+the paper's programs are in Fortran. The compiled methods loop over the bodies and agree to roundoff with the same
+methods in numpy. The paper draws random inertias and does not state whether I1 + I2 >= I3 holds. Our inertias satisfy
+this condition. Only the number of converged runs is given for both kinds of inertias.
 """
 
 import sys

@@ -2,9 +2,9 @@
 
 The figure shows the gain of a high order for a molecular system, and that every scheme falls to second order with
 McLachlan-Reich instead of the exact flow. The start of the paper is random, and only its energy is given. Our starts
-are the ten of 4000 random ones whose energies are closest to the printed energy. In each of these, one pair of dipoles
-is close. The verdicts are for these ten. Five starts that were not selected are shown for comparison; their dipoles
-hardly move.
+are the ten of 4000 random ones whose energies are closest to the printed energy. In each of these ten starts, one pair
+of dipoles is close. The verdicts are for these starts. Five starts that were not selected are shown for comparison.
+Their dipoles hardly move.
 """
 
 import sys

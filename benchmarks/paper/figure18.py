@@ -3,7 +3,7 @@
 The paper's "initial conditions as before" are those of figure 17: 125 soft dipolar spheres on a lattice, all at rest
 except the two in opposite corners, whose momenta determine the energy. The paper shows one start; we have ten starts
 for each energy. The paper gives neither the lattice constant nor the energies. Our lattice constant is 3, as in figure
-17, with which the spheres collide within ten units of time. With a constant of 6, which is also shown, they do not
+17, so that the spheres collide within ten units of time. With a constant of 6, which is also shown, they do not
 collide. The paper's explanation of the figure depends on these unknown values, so it can be neither confirmed nor
 refuted.
 """

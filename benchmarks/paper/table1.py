@@ -1,6 +1,6 @@
 """Table 1 and figure 2: error and cost of one step of h = 5 by the two exact methods, 100 random momenta.
 
-The table shows the cost of exactness, and whether one long step reaches it. The reference is a Taylor series in
+The table shows the error and the cost of the exact methods for one long step. The reference is a Taylor series in
 double-double precision; the paper used ode45 at its tolerance. The verdicts are those of ten draws of 100 bodies. The
 picture and the table are for methods in numpy, except for one line, marked as compiled, which no claim uses. The
 fraction of time spent in the integrals of the third kind is that of the same methods compiled, since those of the paper

@@ -1,11 +1,11 @@
 """Figures 3 to 11: the triangle of inertias, and significant digits of the orientation over it, for steps of 0.4 and 0.04.
 
-The figures show for which bodies each method is accurate: the exact ones, their approximations by Gauss's rule of order
-6, 8 and 10, and the preprocessed discrete Moser-Veselov methods of the same orders. The reference is a Taylor series in
-double-double precision; the paper used Matlab's ode45 at its tolerance. The corner at the top left, where I1 is much
-smaller than I2 and I3, contains thin rods (the paper calls them discs). A point is the mean of 20 momenta, and white
-lines are at 2, 4, ... 12 digits of the orientation at t = 10. The pictures are smoothed over neighbouring points, the
-numbers are not.
+The figures show for which bodies each method is accurate. The methods are the exact methods, their approximations by
+Gauss's rule of order 6, 8 and 10, and the preprocessed discrete Moser-Veselov methods of the same orders. The reference
+is a Taylor series in double-double precision; the paper used Matlab's ode45 at its tolerance. The corner at the top
+left, where I1 is much smaller than I2 and I3, contains thin rods (the paper calls them discs). A point is the mean of
+20 momenta, and white lines are at 2, 4, ... 12 digits of the orientation at t = 10. The pictures are smoothed over
+neighbouring points, the numbers are not.
 """
 
 import sys
