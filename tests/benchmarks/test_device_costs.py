@@ -7,6 +7,7 @@ from benchmarks.common.records import DOCS, ROOT, read
 PAGES = {
     "README": ROOT / "README.md",
     "should I": DOCS / "should-i-use-this.md",
+    "gpu": DOCS / "how-to/gpu.md",
     "protein": DOCS / "tutorials/protein-8fs.md",
     "joss": DOCS / "joss.md",
     "changes": ROOT / "CHANGELOG.md",
@@ -24,7 +25,7 @@ def throughput(system):
     return float(ours) / float(theirs)
 
 
-@pytest.mark.parametrize("page", ["README", "should I"])
+@pytest.mark.parametrize("page", ["README", "should I", "gpu"])
 def test_a_force_evaluation_of_water_takes_as_long_as_with_verlet(page):
     waters = [key[1] for key in ROWS if key[0] == "water" and key[2] == "Verlet"]
     assert waters == ["512", "4096", "32768"]
@@ -36,6 +37,7 @@ def test_the_throughput_of_proteins_is_that_of_the_record():
     peptide, villin, dhfr, membrane = map(throughput, ("peptide", "villin", "5dfr_solv-cube_equil", "membrane"))
     assert f"DHFR reaches {dhfr:.1f} times the throughput" in text("README")
     assert f"villin {villin:.1f} times, a membrane {membrane:.1f} times" in text("README")
+    assert f"{dhfr:.2f} (DHFR), {villin:.2f} (villin) and {membrane:.2f} (128 POPC) times" in text("gpu")
     assert f"{peptide:.2f} times as many nanoseconds per day" in text("protein")
     assert f"{villin:.2f} times for villin and {dhfr:.2f} times for DHFR" in text("protein")
     assert f"villin at 8 fs has {villin:.1f} times the throughput" in text("joss")
