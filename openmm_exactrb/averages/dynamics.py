@@ -125,6 +125,12 @@ def _of_this_package(simulation: Any, frictions: tuple[float, ...]) -> Dynamics:
     thermostat, step = integrator.getThermostat(), integrator.getStepSize()._value
     bodies = integrator.bodyState()[0]
     fast = fast_forces(simulation.system, bodies, integrator.getMultipleTimeSteps())
+    if fast is not None and not fast.acts(integrator.getScheme(), step):
+        fast = None
+    if fast is not None and not integrator._defersInnerDrifts():  # noqa: SLF001
+        raise ValueError(
+            "averages cannot be corrected with fast forces for which the device has no kernel: use engine='host'"
+        )
     return Dynamics(
         scheme=integrator.getScheme().name,
         step=step,
@@ -136,7 +142,7 @@ def _of_this_package(simulation: Any, frictions: tuple[float, ...]) -> Dynamics:
         named=integrator.getNamedBodies(),
         state=lambda _: integrator.bodyState()[1],
         damping=_damping(thermostat, bodies, in_flexible_molecules(context, bodies, integrator.getNamedBodies())),
-        fast=fast if fast is not None and fast.acts(integrator.getScheme(), step) else None,
+        fast=fast,
         chords=None,
         changing=lambda: (integrator.getStepSize()._value, integrator.getThermostat(), integrator.getScheme()),
     )

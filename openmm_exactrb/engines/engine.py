@@ -91,6 +91,10 @@ class Propagator(Protocol):
         A ValueError is raised if the engine does not store these states.
         """
 
+    @property
+    def defers_inner_drifts(self) -> bool:
+        """Whether drifts with inner steps after the last heat exchange are performed at the start of the next step."""
+
     def energy_at_exchange(self, version: object, settings: Callable[[], Settings]) -> float:
         """Return the total energy (kJ/mol) at the last heat exchange; the arguments are those of `advance`.
 

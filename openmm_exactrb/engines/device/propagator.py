@@ -73,6 +73,11 @@ class DevicePropagator:
         """Raise a ValueError, because the device does not store the states before and after heat exchanges."""
         raise ValueError("momenta within a step are not available on the device: use engine='host'")
 
+    @property
+    def defers_inner_drifts(self) -> bool:
+        """Whether kernels perform the inner steps; inner steps for which OpenMM evaluates forces are not deferred."""
+        return self._served.evaluated is None
+
     def energy_at_exchange(self, version: object, settings: Callable[[], Any]) -> float:
         """Return the total energy (kJ/mol) at the last heat exchange of a step whose drifts contain no fast forces."""
         self.sync.pull()

@@ -124,6 +124,11 @@ class HostPropagator:
         """The states before and after the last heat exchange, or None if the state has changed since that step."""
         return self.environment.last_exchange if self._left is self.sync.state else None
 
+    @property
+    def defers_inner_drifts(self) -> bool:
+        """Return True: see `thermostatted.canonical_momenta`."""
+        return True
+
     def advance(self, version: object, settings: Callable[[], Settings], key: int, n: int) -> None:
         """Perform n steps. After any error, the Context contains the last valid state.
 

@@ -5,6 +5,7 @@ import copy
 import numpy as np
 import openmm
 import pytest
+from openmm import app
 from zoo import apart, held, pair
 
 import openmm_exactrb as rb
@@ -160,6 +161,17 @@ def test_fast_groups_without_a_kernel_are_openmms(scheme, friction, constraints,
         assert apart(*contexts) < DOUBLE
     ours, theirs = (context.getIntegrator().timings.fast_evaluations for context in contexts[::-1])
     assert 0 < ours <= theirs + 8
+
+
+def test_averages_with_fast_groups_without_a_kernel_are_not_corrected(tmp_path):
+    topology, system, x = in_water("HBonds", 30)
+    system.addForce(tether(0, 9))
+    assert rb.separate_bonded(system) == 1
+    integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 5.0, 0.002, "W2_3m", engine="device", fast=(1,))
+    simulation = app.Simulation(topology, system, integrator, device_platform())
+    simulation.context.setPositions(x)
+    with pytest.warns(UserWarning, match="no kernel for"), pytest.raises(ValueError, match="use engine='host'"):
+        rb.AverageReporter(tmp_path / "frames.csv", 1).describeNextReport(simulation)
 
 
 def refusal(system, x, **options):
