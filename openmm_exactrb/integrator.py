@@ -354,10 +354,6 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         propagator.sync.pull()
         return propagator
 
-    def _defersInnerDrifts(self) -> bool:
-        """Return whether drifts with inner steps after the last heat exchange belong to the next step."""
-        return self._up_to_date().defers_inner_drifts
-
     def _unsettled(self) -> bool:
         """Return whether the Context is unknown, was reinitialised, or has the state of another engine."""
         propagator = self._propagator

@@ -127,7 +127,7 @@ def _of_this_package(simulation: Any, frictions: tuple[float, ...]) -> Dynamics:
     fast = fast_forces(simulation.system, bodies, integrator.getMultipleTimeSteps())
     if fast is not None and not fast.acts(integrator.getScheme(), step):
         fast = None
-    if fast is not None and not integrator._defersInnerDrifts():  # noqa: SLF001
+    if fast is not None and not integrator._up_to_date().defers_inner_drifts:  # noqa: SLF001
         raise ValueError(
             "averages cannot be corrected with fast forces for which the device has no kernel: use engine='host'"
         )
