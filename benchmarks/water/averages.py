@@ -4,7 +4,7 @@ Boxes of 216 molecules with PME and a switch at 298.15 K, friction 5/ps, on the 
 ones on a GPU: at constant volume the potential energy and the pressure, at 1 bar the density and the enthalpy; as they
 are and corrected by `openmm_exactrb.corrected`. With `--offset` the barostat is set to 1 bar and the offset that the
 runs at constant volume of the same point predict. Frames are kept in out/benchmarks/averages, so that a command that
-was stopped goes on; every seed is a run, and one row of the record.
+was stopped goes on. Each seed is a run and a row of the record.
 
     python benchmarks/water/averages.py --fs 2 4 8 --seeds 1 2
     python benchmarks/water/averages.py --fs 8 --ensemble NPT --offset

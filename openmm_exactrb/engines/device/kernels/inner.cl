@@ -109,10 +109,10 @@ KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL
             // After the last drift, velocities need a projection only if they are read (PROJECTS).
             if (stop < end || what & PROJECTS) {
                 const double t = stop < end ? TAU(stop) : 0.0;
-                for (int begin = 0; begin < row[CLUSTERS]; begin += LOCAL_SIZE/TEAM) {
-                    const int c = min(begin+(int) (LOCAL_ID/TEAM), row[CLUSTERS]-1);
-                    const bool idle = begin+(int) (LOCAL_ID/TEAM) > c;
-                    GLOBAL const int* cluster = clusters+CLUSTER_ROW*(row[FIRST_CLUSTER]+c);
+                for (int done = 0; done < row[CLUSTERS]; done += LOCAL_SIZE/TEAM) {
+                    const int c = done+(int) (LOCAL_ID/TEAM);
+                    const bool idle = c >= row[CLUSTERS];
+                    GLOBAL const int* cluster = clusters+CLUSTER_ROW*(row[FIRST_CLUSTER]+(idle ? 0 : c));
                     const int at = cluster[FIRST_ATOM]-first_atom;
                     move_star(idle, t, cluster, at, inverse, lengths, xs, v);
 #if GRAPHS > 0

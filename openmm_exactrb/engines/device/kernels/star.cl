@@ -15,6 +15,7 @@
 #if defined(__OPENCL_VERSION__)
 #define TEAM 1
 #define ANY(yes) (yes)
+#define OF_OTHER(number, distance) (number)
 #elif defined(USE_HIP)
 #define TEAM RAYS
 #define ANY(yes) __any(yes)
@@ -27,6 +28,7 @@
 #define HELD (RAYS/TEAM) // constraints of a thread
 #define EACH_CONSTRAINT EACH(c, HELD)
 #define EACH_AXIS EACH(e, 3)
+#define EACH_DISTANCE for (int distance = 1; distance < TEAM; distance *= 2)
 // Loops are unrolled if the arrays then fit into registers.
 #if TEAM > 1
 #define EACH_ORDER EACH(k, ORDERS)
@@ -44,18 +46,14 @@ DEVICE inline void team_sum(const double (*of_constraint)[HELD], double* s, int 
         s[e] = 0.0;
         EACH_CONSTRAINT
             s[e] += of_constraint[e][c];
-#if TEAM > 1
-        EACH(other, 2)
-            s[e] += OF_OTHER(s[e], 1<<other);
-#endif
+        EACH_DISTANCE
+            s[e] += OF_OTHER(s[e], distance);
     }
 }
 
 DEVICE inline double team_max(double x) {
-#if TEAM > 1
-    EACH(other, 2)
-        x = fmax(x, OF_OTHER(x, 1<<other));
-#endif
+    EACH_DISTANCE
+        x = fmax(x, OF_OTHER(x, distance));
     return x;
 }
 
