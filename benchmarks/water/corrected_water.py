@@ -32,12 +32,13 @@ from benchmarks.water.equipartition_record import AGAIN, FRICTION, KELVIN, LFM, 
 from benchmarks.water.equipartition_record import RECORD as RUNS
 from openmm_exactrb.averages.record import head, read
 from openmm_exactrb.schemes import scheme_for_thermostat, splitting
-from openmm_exactrb.schemes.second_order import second_order
+from openmm_exactrb.schemes.step_errors import step_errors
 from openmm_exactrb.schemes.thermostatted import with_thermostat
 
 #: In docs/equipartition.csv, W2_3m has positions at its next kick, in later runs at the end of its step. In both, a
 #: barostat acts at the next kick.
 NEXT_KICK, AT_END = 0.135, "W2_3m, at the end"
+MOLECULES, FRAME = 216, 0.2  # of a box; ps between two frames
 METHODS, STEPS = (LFM, "BAOAB", "W2_3m", AT_END), (0.5, 1.0, 2.0, 4.0, 6.0)
 #: Quantities of docs/equipartition.csv by ensemble, their names here, and whether they are for a molecule.
 QUANTITIES = {
@@ -76,7 +77,7 @@ def as_if(file: Path, method: str, fs: float, other: Path) -> None:
     """Write the frames of a LangevinMiddleIntegrator to another file, with the settings of another integrator."""
     lines, settings = file.read_text(encoding="utf-8").splitlines(keepends=True), read(file)[0]
     own, scheme = method == LFM, "W2_3m" if method == AT_END else method
-    order = second_order(with_thermostat(scheme_for_thermostat("BAOA" if own else scheme)))
+    order = step_errors(with_thermostat(scheme_for_thermostat("BAOA" if own else scheme)))
     if method == "W2_3m":
         order = order._replace(late=NEXT_KICK)
     step = 0.001 * fs * (1 if own else splitting(scheme).forces)
@@ -87,6 +88,7 @@ def as_if(file: Path, method: str, fs: float, other: Path) -> None:
         beta=order.beta,
         slopes=(order.slope, order.inner_slope),
         barostat_slope=order.barostat_slope,
+        quartic=order.quartic,
         chords=own,
     )
     other.write_text(head(changed, lines[1].strip().split(",")) + "".join(lines[2:]), encoding="utf-8")
@@ -95,8 +97,8 @@ def as_if(file: Path, method: str, fs: float, other: Path) -> None:
 def rows_of(model: str, ensemble: str, ps: float, seed: int) -> Iterator[dict[str, Any]]:
     """Yield the corrections of all methods and steps from one run."""
     bar = 0.0 if ensemble == "NVT" else 1.0
-    run = {"model": model, "masses": "plain", "scheme": LFM, "fs": 4.0, "ensemble": ensemble, "bar": bar}
-    file = averages.frames(run | {"ps": ps, "seed": seed})
+    run = {"model": model, "molecules": MOLECULES, "masses": "plain", "scheme": LFM, "fs": 4.0, "ensemble": ensemble}
+    file = averages.frames(run | {"bar": bar, "ps": ps, "seed": seed}, "CPU", FRAME)
     for method, fs in itertools.product(METHODS, STEPS):
         row = dict.fromkeys(COLUMNS, "nan")
         for name, quantity, of_molecule in QUANTITIES[ensemble]:
@@ -104,7 +106,7 @@ def rows_of(model: str, ensemble: str, ps: float, seed: int) -> Iterator[dict[st
                 other = Path(folder) / "frames.csv"
                 as_if(file, method, fs, other)
                 found = rb.corrected(other, quantity)
-            per = averages.MOLECULES if of_molecule else 1
+            per = MOLECULES if of_molecule else 1
             row |= {name: f"{found.correction / per:.4g}", f"{name} error": f"{found.correction_error / per:.2g}"}
         yield row | {"model": model, "ensemble": ensemble, "method": method, "fs": fs, "ps": ps, "seed": seed}
 

@@ -1,11 +1,11 @@
-"""Second-order corrections of averages for the step size, with error estimates.
+"""Corrections of averages for the step size, with error estimates.
 
 Let f be the generalised force, f_s the generalised force of the kicks (f without inner steps), S = f_s·M⁻¹f_s and W =
 f·M⁻¹f_s. The error that a splitting with steps h causes in the average of an observable A of the positions is
 
     h² {-(alpha + beta) Cov(A, S)/kT - kappa <grad A · M⁻¹f_s> + J},
 
-where kappa = alpha + y²/2 - c (`openmm_exactrb.schemes.second_order`) and J depends on the friction. For friction far
+where kappa = alpha + y²/2 - c (`openmm_exactrb.schemes.step_errors`) and J depends on the friction. For friction far
 slower than the exchange of energy between motions and far faster than all motions, respectively,
 
     J = 2 alpha <W> Cov(A, U)/(n kT²),        J = -2 alpha <grad A · M⁻¹f_s> - alpha Cov(A, W)/kT,
@@ -20,6 +20,14 @@ to the average at weak friction, and to the energy of a harmonic liquid at any f
 the true energy. The error dP of the pressure at a fixed volume therefore changes any average by Cov(A, V) dP/kT. Here
 kappa in dP is that of the point in a step at which the barostat acts. All other terms contain the fluctuations of A, S
 and W at a fixed volume, because the volume changes slowly.
+
+For harmonic motions with frequencies w, Var(S) = 2 (kT)² sum w⁴ over the motions without inner steps. Their error of
+fourth order in the average of U is
+
+    h⁴ quartic Var(S)/(4 kT),
+
+which is subtracted from the potential energy and the enthalpy. Anharmonic terms of fourth order are not known. In their
+place, the error estimate contains a uniform distribution as wide as the harmonic term.
 """
 
 from __future__ import annotations
@@ -27,23 +35,20 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
 
 import numpy as np
 import openmm
 from numpy.typing import ArrayLike
 from openmm import unit
 
+from openmm_exactrb.averages.estimators import Columns, Sampled, given, named, pressure_of
 from openmm_exactrb.averages.frames import BAR
 from openmm_exactrb.averages.record import Settings, read
 from openmm_exactrb.openmm_access.units import plain
-from openmm_exactrb.support import checks
 from openmm_exactrb.support.types import Array
 
 # The number of blocks of the jackknife, and the smallest number of frames.
 _BLOCKS, _FEWEST = 20, 40
-# kg/m³ per Da/nm³.
-_DENSITY = 1.66053906660
 
 
 @dataclass(frozen=True)
@@ -59,8 +64,8 @@ class Average:
     correction : float
         The difference between `mean` and the average over the frames.
     correction_error : float
-        The standard deviation of the correction, which includes statistical errors and a uniform distribution over
-        `bracket`.
+        The standard deviation of the correction, which includes statistical errors, a uniform distribution over
+        `bracket`, and one as wide as the fourth-order term of an energy.
     bracket : (float, float)
         The corrected averages for weak and for strong friction; `mean` is halfway between them.
     """
@@ -99,13 +104,6 @@ class PressureOffset:
         return openmm.MonteCarloBarostat((wanted + self.bar) * unit.bar, self.temperature * unit.kelvin, frequency)
 
 
-class _Observable(NamedTuple):
-    """Values of an observable (frames,) and its slopes along M⁻¹f_s, for bodies without and with inner steps."""
-
-    values: Array
-    slopes: tuple[Array, Array]
-
-
 def corrected(
     file: str | os.PathLike[str],
     observable: str | ArrayLike,
@@ -115,14 +113,16 @@ def corrected(
 ) -> Average:
     """Return the average of an observable without the second-order error of the step size.
 
+    The fourth-order error of harmonic motions is also subtracted from the potential energy and the enthalpy.
+
     Parameters
     ----------
     file : str or path
         File of an `AverageReporter` that contains only frames in equilibrium.
     observable : str or (frames,) array_like
         "potential energy" (kJ/mol), "pressure" (bar), "volume" (nm³), "density" (kg/m³), "enthalpy" (kJ/mol, without
-        the kinetic energy), "heat capacity" (kJ/mol/K), "compressibility" (1/bar), the name of one of the reporter's
-        observables, or an array with one value per frame.
+        the kinetic energy), "heat capacity" (kJ/mol/K), "compressibility" (1/bar), "thermal expansion" (1/K), the name
+        of one of the reporter's observables, or an array with one value per frame.
     slope : (frames,) array_like or two of them, optional
         Slopes along M⁻¹f_s (1/ps²) of values that depend on positions, for bodies without and with inner steps. Omit
         them for values that depend on the volume alone.
@@ -158,11 +158,12 @@ def corrected(
         raise ValueError(
             f"{file} has no curvature around particles: create the AverageReporter with around=(particles, distance)"
         )
-    of = _named(settings, observable) if isinstance(observable, str) else _given(observable, slope, columns)
+    of = named(settings, observable) if isinstance(observable, str) else given(observable, slope, columns)
 
     def result(some: Columns) -> _Result:
         value, observable_of = of(some)
-        return value, *_errors(settings, some, observable_of, local, excess)
+        limits = _errors(settings, some, observable_of, local, excess)
+        return value, *limits, _of_harmonic_motions(settings, some) if observable_of.energy else 0.0
 
     return _jackknife(columns, result)
 
@@ -189,8 +190,8 @@ def pressure_offset(file: str | os.PathLike[str]) -> PressureOffset:
         raise ValueError(f"{file} has no pressure: create the AverageReporter with pressure=True")
 
     def result(some: Columns) -> _Result:
-        value, of = _pressure(settings, some)
-        return value, *_of_barostat(settings, some, of, some["volume"] if settings.barostat else None)
+        value, of = pressure_of(settings, some)
+        return value, *_of_barostat(settings, some, of, some["volume"] if settings.barostat else None), 0.0
 
     found = _jackknife(columns, result)
     weak, strong = (found.mean - found.correction - mean for mean in found.bracket)
@@ -199,43 +200,36 @@ def pressure_offset(file: str | os.PathLike[str]) -> PressureOffset:
     )
 
 
-Columns = dict[str, Array]
-#: The average over the frames, and its step-size errors for weak and for strong friction.
-_Result = tuple[float, float, float]
+#: The average over the frames, its second-order errors for weak and for strong friction, and its fourth-order error.
+_Result = tuple[float, float, float, float]
 
 
-#: A value, and an observable whose average has the same step-size error.
-_Estimate = tuple[float, _Observable]
-
-
-def _errors(settings: Settings, columns: Columns, of: _Observable, local: bool, excess: float) -> tuple[float, float]:
+def _errors(settings: Settings, columns: Columns, of: Sampled, local: bool, excess: float) -> tuple[float, float]:
     """Return the errors of an average for weak and for strong friction, given the excess of the pressure in bar."""
     if not settings.barostat:
         return _at_fixed_volume(settings, columns, of, local, None)
     volume = columns["volume"]
-    pressure = _Observable(columns["pressure"], (columns["pressure slope"], columns["pressure inner slope"]))
+    _, pressure = pressure_of(settings, columns)
     own = _at_fixed_volume(settings, columns, of, local, volume)
     offset = _of_barostat(settings, columns, pressure, volume)
     response = _covariance(of.values, volume) / (settings.kT * BAR)
     return own[0] + response * (offset[0] - excess), own[1] + response * (offset[1] - excess)
 
 
-def _of_barostat(
-    settings: Settings, columns: Columns, pressure: _Observable, volume: Array | None
-) -> tuple[float, float]:
+def _of_barostat(settings: Settings, columns: Columns, pressure: Sampled, volume: Array | None) -> tuple[float, float]:
     """Return the errors, for weak and for strong friction, of the pressure under which a barostat samples volumes."""
     there = replace(settings, slopes=(settings.barostat_slope, settings.barostat_slope))
     return _at_fixed_volume(there, columns, pressure, False, volume)
 
 
 def _at_fixed_volume(
-    settings: Settings, columns: Columns, of: _Observable, local: bool, volume: Array | None
+    settings: Settings, columns: Columns, of: Sampled, local: bool, volume: Array | None
 ) -> tuple[float, float]:
     """Return the errors of an average for weak and for strong friction, at a constant or a slowly changing volume."""
     alpha, kT, values = settings.alpha, settings.kT, of.values
     slopes = [float(slope.mean()) for slope in of.slopes]
     work = columns["work"] + columns["inner work"]
-    square = columns["square around" if local else "square"]
+    square = columns["square around"] if local else columns["square"] + columns["inner square"]
     own = -(alpha + settings.beta) * _covariance(values, square, volume) / kT
     own -= sum(part * slope for part, slope in zip(settings.slopes, slopes, strict=True))
     with_energy = _covariance(values, columns["potential"], volume) / kT**2
@@ -245,6 +239,12 @@ def _at_fixed_volume(
     weak = 2.0 * alpha * float(columns["damped work"].mean()) / settings.freedom * with_energy
     strong = -2.0 * alpha * sum(slopes) - alpha * _covariance(values, work, volume) / kT
     return settings.step**2 * (own + weak), settings.step**2 * (own + strong)
+
+
+def _of_harmonic_motions(settings: Settings, columns: Columns) -> float:
+    """Return the fourth-order error of the average potential energy of harmonic motions."""
+    square, volume = columns["square"], columns["volume"] if settings.barostat else None
+    return settings.step**4 * settings.quartic * _covariance(square, square, volume) / (4.0 * settings.kT)
 
 
 def _covariance(a: Array, b: Array, given: Array | None = None) -> float:
@@ -258,119 +258,18 @@ def _covariance(a: Array, b: Array, given: Array | None = None) -> float:
 def _jackknife(columns: Columns, of: Callable[[Columns], _Result]) -> Average:
     """Return an average over all frames, with jackknife errors."""
     frames = len(columns["step"])
-    value, weak, strong = of(columns)
+    value, weak, strong, higher = of(columns)
     left_out = []
     for block in np.array_split(np.arange(frames), _BLOCKS):
         kept = np.ones(frames, dtype=bool)
         kept[block] = False
-        mean, *limits = of({name: values[kept] for name, values in columns.items()})
-        left_out.append((mean - np.mean(limits), np.mean(limits)))
+        mean, *limits, rest = of({name: values[kept] for name, values in columns.items()})
+        left_out.append((mean - np.mean(limits) - rest, np.mean(limits) + rest))
     statistical = np.std(left_out, axis=0) * np.sqrt(_BLOCKS - 1.0)
-    between = abs(weak - strong) / np.sqrt(12.0)  # of a uniform distribution
-    error, of_correction = map(float, np.hypot(statistical, between))
-    off = 0.5 * (weak + strong)
-    return Average(value - off, error, -off, of_correction, (value - weak, value - strong))
-
-
-# -- observables ---------------------------------------------------------------------------------------------------
-
-
-def _named(settings: Settings, name: str) -> Callable[[Columns], _Estimate]:
-    """Return the estimator of a named observable."""
-    if name in settings.observables:
-        return lambda columns: _mean(columns[name], columns[f"{name} slope"], columns[f"{name} inner slope"])
-    if name not in _READY:
-        known = ", ".join([*_READY, *settings.observables])
-        raise ValueError(f"unknown observable {name!r}: choose one of {known}, or give one value for each frame")
-    needs, ensemble, of = _READY[name]
-    if ensemble == "constant pressure" and not settings.barostat:
-        raise ValueError(f"the {name} needs a run at constant pressure: add a MonteCarloBarostat to the System")
-
-    def estimate(columns: Columns) -> _Estimate:
-        if needs not in columns:
-            raise ValueError(f"the {name} needs the {needs}: create the AverageReporter with pressure=True")
-        return of(settings, columns)
-
-    return estimate
-
-
-def _given(values: Any, slope: Any, columns: Columns) -> Callable[[Columns], _Estimate]:
-    """Return the estimator of a user's values for each frame."""
-    frames = len(columns["step"])
-    array = checks.array(values, "values", "a number for each frame")
-    given = [0.0, 0.0] if slope is None else list(slope) if np.ndim(slope) == 2 else [slope, np.zeros(frames)]
-    slopes = [checks.array(s, "slope", "a number for each frame, or two of them") for s in given]
-    fits = array.shape == (frames,) and len(slopes) == 2 and all(s.shape in ((), (frames,)) for s in slopes)
-    if not fits or not all(np.isfinite(some).all() for some in (array, *slopes)):
-        raise ValueError(
-            f"observable and slope must have one finite number for each of the {frames} frames of the file"
-        )
-    slopes = [np.broadcast_to(s, (frames,)) for s in slopes]
-    steps = columns["step"]
-
-    def estimate(some: Columns) -> _Estimate:
-        chosen = np.isin(steps, some["step"])
-        return _mean(array[chosen], *(s[chosen] for s in slopes))
-
-    return estimate
-
-
-def _mean(values: Array, slope: Array | None = None, inner: Array | None = None) -> _Estimate:
-    none = np.zeros_like(values)
-    slopes = (none if slope is None else slope, none if inner is None else inner)
-    return float(values.mean()), _Observable(values, slopes)
-
-
-def _potential(settings: Settings, columns: Columns) -> _Estimate:
-    return _mean(columns["potential"], -columns["work"], -columns["inner work"])
-
-
-def _pressure(settings: Settings, columns: Columns) -> _Estimate:
-    return _mean(columns["pressure"], columns["pressure slope"], columns["pressure inner slope"])
-
-
-def _volume(settings: Settings, columns: Columns) -> _Estimate:
-    return _mean(columns["volume"])
-
-
-def _density(settings: Settings, columns: Columns) -> _Estimate:
-    return _mean(_DENSITY * settings.mass / columns["volume"])
-
-
-def _enthalpy(settings: Settings, columns: Columns) -> _Estimate:
-    volume = settings.pressure / BAR * columns["volume"]
-    return _mean(columns["potential"] + volume, -columns["work"], -columns["inner work"])
-
-
-def _heat_capacity(settings: Settings, columns: Columns) -> _Estimate:
-    """Return the heat capacity from the fluctuations of the enthalpy, or of the energy at constant volume."""
-    values, slopes = (_enthalpy if settings.barostat else _potential)(settings, columns)[1]
-    off = values - values.mean()
-    scale = 1.0 / (settings.kT * settings.temperature)
-    outer, inner = (2.0 * scale * off * slope for slope in slopes)
-    value, of = _mean(scale * off**2, outer, inner)
-    return value + 0.5 * settings.freedom * settings.kT / settings.temperature, of
-
-
-def _compressibility(settings: Settings, columns: Columns) -> _Estimate:
-    """Return the isothermal compressibility from the fluctuations of the volume."""
-    volume = columns["volume"]
-    off, mean = volume - volume.mean(), float(volume.mean())
-    variance = float(np.mean(off**2))
-    scale = 1.0 / (settings.kT * mean * BAR)
-    _, of = _mean(scale * (off**2 - variance / mean * off))
-    return scale * variance, of
-
-
-_READY = {
-    "potential energy": ("potential", "any", _potential),
-    "pressure": ("pressure", "any", _pressure),
-    "volume": ("volume", "constant pressure", _volume),
-    "density": ("volume", "constant pressure", _density),
-    "enthalpy": ("volume", "constant pressure", _enthalpy),
-    "heat capacity": ("potential", "any", _heat_capacity),
-    "compressibility": ("volume", "constant pressure", _compressibility),
-}
+    uniform = np.hypot(weak - strong, higher) / np.sqrt(12.0)  # standard deviation of uniform distributions
+    error, of_correction = map(float, np.hypot(statistical, uniform))
+    off = 0.5 * (weak + strong) + higher
+    return Average(value - off, error, -off, of_correction, (value - weak - higher, value - strong - higher))
 
 
 def _checked(file: str | os.PathLike[str]) -> tuple[Settings, Columns]:

@@ -22,7 +22,7 @@ from openmm_exactrb.multiple_time_steps.fast_forces import FastForces, fast_forc
 from openmm_exactrb.openmm_access import arrays, parameters
 from openmm_exactrb.openmm_access.molecules import in_flexible_molecules
 from openmm_exactrb.schemes import scheme_for_thermostat
-from openmm_exactrb.schemes.second_order import SecondOrder, second_order
+from openmm_exactrb.schemes.step_errors import StepErrors, step_errors
 from openmm_exactrb.schemes.thermostatted import with_thermostat
 from openmm_exactrb.support.types import Array
 from openmm_exactrb.thermostats.langevin import Langevin
@@ -37,7 +37,7 @@ class Dynamics:
     scheme : str
     step : float
         Step size in ps.
-    order : SecondOrder
+    order : StepErrors
         Coefficients of the second-order error.
     temperature : float
         Temperature in K.
@@ -63,7 +63,7 @@ class Dynamics:
 
     scheme: str
     step: float
-    order: SecondOrder
+    order: StepErrors
     temperature: float
     frictions: tuple[float, ...]
     freedom: int
@@ -134,7 +134,7 @@ def _of_this_package(simulation: Any, frictions: tuple[float, ...]) -> Dynamics:
     return Dynamics(
         scheme=integrator.getScheme().name,
         step=step,
-        order=second_order(thermostat.steps(integrator.getScheme())),
+        order=step_errors(thermostat.steps(integrator.getScheme())),
         temperature=thermostat.temperature,
         frictions=frictions,
         freedom=sum(integrator.degreesOfFreedom()),
@@ -160,7 +160,7 @@ def _of_openmm(simulation: Any, frictions: tuple[float, ...]) -> Dynamics:
     return Dynamics(
         scheme="LangevinMiddle",
         step=integrator.getStepSize().value_in_unit(unit.picosecond),
-        order=second_order(with_thermostat(scheme_for_thermostat("BAOA"))),
+        order=step_errors(with_thermostat(scheme_for_thermostat("BAOA"))),
         temperature=temperature,
         frictions=frictions,
         freedom=bodies.translational_freedom + bodies.rotational_freedom - removed,

@@ -67,7 +67,7 @@ class Frames:
         slow = total if self._excerpt is None else total.less(self._generalised(of_bodies, self._fast_forces(x)))
         work, square = self._products(total, slow), self._products(slow, slow)
         values = [state.getPotentialEnergy()._value, state.getPeriodicBoxVolume()._value]
-        values += [_sum(square), *self._split(work), _sum(work, self._dynamics.damping)]
+        values += [*self._split(square), *self._split(work), _sum(work, self._dynamics.damping)]
         if self._dynamics.chords is not None:
             values.append(self._dynamics.chords.mean(x, self._kT))
         if self._around is not None:

@@ -24,11 +24,13 @@ class Settings:
     step : float
         Step size h in ps.
     alpha, beta : float
-        Coefficients of the conserved energy; see `openmm_exactrb.schemes.second_order`.
+        Coefficients of the conserved energy; see `openmm_exactrb.schemes.step_errors`.
     slopes : (float, float)
         Factors with which a correction subtracts the slope of an observable, for bodies without and with inner steps.
     barostat_slope : float
         The same factor for the slope of the pressure at the point of a step where a barostat acts.
+    quartic : float
+        Coefficient of the fourth-order error of the energy of harmonic motions; see `schemes.step_errors`.
     temperature : float
         Temperature in K.
     kT : float
@@ -55,6 +57,7 @@ class Settings:
     beta: float
     slopes: tuple[float, float]
     barostat_slope: float
+    quartic: float
     temperature: float
     kT: float
     frictions: tuple[float, ...]
@@ -69,7 +72,8 @@ class Settings:
 def columns_of(settings: Settings, pressure: bool, around: bool) -> tuple[str, ...]:
     """Return the names of the columns of a file."""
     names = ["step", "time (ps)", "potential (kJ/mol)", "volume (nm^3)"]
-    names += ["square (kJ/mol/ps^2)", "work (kJ/mol/ps^2)", "inner work (kJ/mol/ps^2)", "damped work (kJ/mol/ps^2)"]
+    names += ["square (kJ/mol/ps^2)", "inner square (kJ/mol/ps^2)"]
+    names += ["work (kJ/mol/ps^2)", "inner work (kJ/mol/ps^2)", "damped work (kJ/mol/ps^2)"]
     names += ["chord (kJ/mol/ps^2)"] * settings.chords
     names += ["square around (kJ/mol/ps^2)"] * around
     names += ["pressure (bar)", "pressure slope (bar/ps^2)", "pressure inner slope (bar/ps^2)"] * pressure

@@ -138,6 +138,7 @@ def settings_of(simulation: Any, dynamics: Dynamics, observables: Mapping[str, A
         beta=order.beta,
         slopes=(order.slope, order.inner_slope),
         barostat_slope=order.barostat_slope,
+        quartic=order.quartic,
         temperature=dynamics.temperature,
         kT=gas_constant_times(dynamics.temperature),
         frictions=dynamics.frictions,

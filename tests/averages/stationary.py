@@ -11,7 +11,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from openmm_exactrb.schemes.second_order import _around_exchange
+from openmm_exactrb.schemes.step_errors import _around_exchange
 from openmm_exactrb.substeps import Drift
 
 

@@ -16,10 +16,10 @@ from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.mechanics.clusters import ClusterState
 from openmm_exactrb.openmm_access.parameters import constraints
 from openmm_exactrb.schemes import scheme_for_thermostat
-from openmm_exactrb.schemes.second_order import second_order
+from openmm_exactrb.schemes.step_errors import step_errors
 from openmm_exactrb.schemes.thermostatted import with_thermostat
 
-BAOA = second_order(with_thermostat(scheme_for_thermostat("BAOA")))
+BAOA = step_errors(with_thermostat(scheme_for_thermostat("BAOA")))
 
 
 def test_a_drift_of_openmm_is_the_chord_with_noise_off_the_sphere():

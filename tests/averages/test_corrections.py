@@ -72,7 +72,10 @@ def test_the_correction_of_rotors_in_a_field_leads_to_the_exact_average(tmp_path
     # What is left is of fourth order, and what the limit of weak friction misses.
     assert abs(found.mean - exact) < 0.3 * abs(uncorrected - exact)
     assert found.correction_error < 0.15 * abs(found.correction)
-    assert energy.mean / (-2.0 * KT * COUNT) == pytest.approx(found.mean, rel=1e-6)
+    # The fourth-order error of harmonic motions is subtracted from the energy alone.
+    fourth = read(file)[0].quartic * 1.5**4 * np.var(values["square"]) / (4.0 * KT)
+    assert (energy.mean + fourth) / (-2.0 * KT * COUNT) == pytest.approx(found.mean, rel=1e-6)
+    assert abs(energy.mean / (-2.0 * KT * COUNT) - exact) < abs(found.mean - exact)
     assert by_hand == found
 
 
@@ -170,14 +173,15 @@ def test_the_slow_forces_are_those_of_the_kicks(tmp_path):
     assert columns["all slope"] + columns["all inner slope"] == pytest.approx(
         -columns["work"] - columns["inner work"], rel=1e-5
     )
-    assert columns["slow slope"] + columns["slow inner slope"] == pytest.approx(-columns["square"], rel=1e-5)
+    for bodies in ("", "inner "):
+        assert columns[f"slow {bodies}slope"] == pytest.approx(-columns[f"{bodies}square"], rel=1e-5)
 
 
-def made(tmp_path, rng, frames=4000, barostat="MonteCarloBarostat"):
+def made(tmp_path, rng, frames=4000, barostat="MonteCarloBarostat", quartic=0.0):
     """Return the file of frames that are independent and normal, and its columns."""
     settings = {
         "scheme": "W2_3m", "step": 0.024, "alpha": 1e-3, "beta": 5e-3, "slopes": [8e-3, 1e-3],
-        "barostat_slope": 6e-3, "temperature": 300.0, "kT": KT, "frictions": [5.0],
+        "barostat_slope": 6e-3, "quartic": quartic, "temperature": 300.0, "kT": KT, "frictions": [5.0],
         "freedom": 384, "mass": 1153.0, "barostat": barostat, "pressure": 1.0, "observables": [],
     }  # fmt: skip
     volume, energy, square = 2.0 + 0.02 * rng.standard_normal(frames), *(rng.standard_normal((2, frames)))
@@ -187,6 +191,7 @@ def made(tmp_path, rng, frames=4000, barostat="MonteCarloBarostat"):
         "potential": -2500.0 + 40.0 * energy - 300.0 * (volume - 2.0),
         "volume": volume,
         "square": 2e6 + 1e5 * (0.6 * energy + 0.8 * square) - 2e6 * (volume - 2.0),
+        "inner square": np.zeros(frames),
         "work": 2e6 + 1e5 * (0.6 * energy + 0.8 * square) - 2e6 * (volume - 2.0),
         "inner work": np.zeros(frames),
         "damped work": np.full(frames, 2e6),
@@ -260,9 +265,22 @@ def test_at_constant_pressure_averages_follow_the_pressure_at_a_fixed_volume(tmp
     without = 1.0 - found.bar
     assert rb.corrected(file, "volume", pressure=without).correction == pytest.approx(0.0, abs=1e-12)
     assert -rb.corrected(file, "potential energy", pressure=without).correction == pytest.approx(own, rel=0.05)
+    # The fourth-order error of harmonic motions, from the fluctuations of S at a fixed volume.
+    again = rb.corrected(made(tmp_path, np.random.default_rng(5), quartic=3e-3), "potential energy")
+    fourth = 3e-3 * h2**2 * 1e10 / (4.0 * KT)
+    assert energy.mean - again.mean == pytest.approx(fourth, rel=0.05)
+    assert again.correction_error**2 - energy.correction_error**2 == pytest.approx(fourth**2 / 12.0, rel=0.2)
     less = rb.corrected(file, "volume", pressure=101.0 * unit.bar).mean - volume.mean
     assert less == pytest.approx(-(0.02**2) * 100.0 / (KT * BAR), rel=0.1)
     assert rb.corrected(file, "compressibility").mean == pytest.approx(0.02**2 / (2.0 * KT * BAR), rel=0.1)
+    # Fluctuations of the enthalpy, whose part from the volume is (P - 300 kJ/mol/nm³) V.
+    along = 1.0 / BAR - 300.0
+    for name, exact in (
+        ("thermal expansion", along * 0.02**2 / (2.0 * KT * 300.0)),
+        ("heat capacity", (40.0**2 + (along * 0.02) ** 2) / (KT * 300.0) + 192.0 * KT / 300.0),
+    ):
+        found = rb.corrected(file, name)
+        assert found.mean - found.correction == pytest.approx(exact, abs=4.0 * found.error)
     density = rb.corrected(file, "density")
     assert density.correction / density.mean == pytest.approx(-volume.correction / volume.mean, rel=1e-2)
 

@@ -292,12 +292,12 @@ def test_the_offset_of_averages_is_added_to_the_pressure_for_the_same_settings_a
     """A slope of 1e6 bar/ps² and no covariances: the offset is -8e-3 to -1e-2 (0.012 ps)² of it, by the friction."""
     settings = {
         "scheme": "W2_3m", "step": 0.012, "alpha": 1e-3, "beta": 5e-3, "slopes": [7e-3, 1e-3],
-        "barostat_slope": 8e-3, "temperature": 300.0, "kT": 2.494, "frictions": [5.0],
+        "barostat_slope": 8e-3, "quartic": 0.0, "temperature": 300.0, "kT": 2.494, "frictions": [5.0],
         "freedom": 384, "mass": 1153.0,
     }  # fmt: skip
-    names = ["step", "potential", "volume", "square", "work", "inner work", "damped work", "pressure"]
+    names = ["step", "potential", "volume", "square", "inner square", "work", "inner work", "damped work", "pressure"]
     names += ["pressure slope", "pressure inner slope"]
-    row = "1,-2500,2,2e6,2e6,0,2e6,0,1e6,0\n"
+    row = "1,-2500,2,2e6,0,2e6,0,2e6,0,1e6,0\n"
     file = tmp_path / "averages.csv"
     file.write_text(f"# {json.dumps(settings)}\n{','.join(names)}\n{row * 50}")
     (_, system, _, _), langevin = box, rb.ExactRigidBodyLangevinIntegrator

@@ -1,18 +1,23 @@
-"""The second-order step-size error of averages, as coefficients of a splitting with a heat exchange.
+"""The step-size error of averages, as coefficients of a splitting with a heat exchange.
 
 Next to its heat exchange, a symmetric splitting with steps of size h conserves
 
     H + h² (alpha v·V''v + beta f·M⁻¹f) + O(h⁴),
 
 and its step ends with drifts over y h in total, possibly with kicks between them, after the exchange. A barostat acts
-at another y if a step ends between two drifts after the exchange. `openmm_exactrb.averages` computes the error of any
-average from these numbers.
+at another y if a step ends between two drifts after the exchange. `openmm_exactrb.averages` computes the second-order
+error of any average from these numbers.
+
+For harmonic motions, the fourth-order error of the potential energy is known too. The coefficient here is that of the
+error that remains after the second-order correction for strong friction.
 """
 
 from __future__ import annotations
 
 import math
 from typing import NamedTuple
+
+from numpy.polynomial import Polynomial
 
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.sequence import (
@@ -23,11 +28,12 @@ from openmm_exactrb.schemes.sequence import (
     second_moments,
     up_to_kick,
 )
+from openmm_exactrb.schemes.stability import oscillated
 from openmm_exactrb.substeps import Drift, GradientKick, HeatExchange, Kick
 
 
-class SecondOrder(NamedTuple):
-    """Coefficients of the second-order error of a splitting, in units of the squared step."""
+class StepErrors(NamedTuple):
+    """Coefficients of the step-size error of a splitting, in units of powers of the step."""
 
     alpha: float  #: coefficient of v·V''v in the conserved energy
     beta: float  #: coefficient of f·M⁻¹f in the conserved energy
@@ -35,6 +41,7 @@ class SecondOrder(NamedTuple):
     pushed: float  #: the displacement by kicks between the heat exchange and the end of a step, in h² M⁻¹f
     inner: float  #: y of bodies with inner steps: 0 where `thermostatted.canonical_momenta` defers their drifts
     barostat: float  #: y of a barostat: the drifts between the heat exchange and its moves
+    quartic: float  #: coefficient of h⁴ omega⁴ kT/2 in the corrected potential energy of an oscillator
 
     @property
     def slope(self) -> float:
@@ -55,7 +62,7 @@ class SecondOrder(NamedTuple):
         return self.alpha + 0.5 * y**2 - self.pushed
 
 
-def second_order(scheme: Scheme) -> SecondOrder:
+def step_errors(scheme: Scheme) -> StepErrors:
     """Return the coefficients of a scheme that contains the heat exchange of its integrator.
 
     Let b_j be the fractions of the kicks, and c_j their times since the heat exchange in units of the step. Then alpha
@@ -78,7 +85,25 @@ def second_order(scheme: Scheme) -> SecondOrder:
     pushed = math.fsum(b * (late - c) for b, c in kicks[: sum(not isinstance(s, Drift) for s, _ in behind)])
     inner = 0.0 if behind_exchange(scheme.sequence) else late
     barostat = late + math.fsum(part for _, part in up_to_kick(scheme.sequence))
-    return SecondOrder(1.0 / 12.0 - 0.5 * single, 1.0 / 12.0 - 0.5 * double + gradients, late, pushed, inner, barostat)
+    alpha, beta = 1.0 / 12.0 - 0.5 * single, 1.0 / 12.0 - 0.5 * double + gradients
+    # The second-order correction of an oscillator is an average over frames, in which <q²> has this error.
+    error = 2.0 * (alpha - beta) + late**2 - 2.0 * pushed
+    change = error * (late**2 - 2.0 * (alpha + 2.0 * beta + pushed))
+    return StepErrors(alpha, beta, late, pushed, inner, barostat, _quartic(cycle, behind) - change)
+
+
+def _quartic(cycle: Sequence, behind: Sequence) -> float:
+    """Return the coefficient of x⁴ in omega² <q²>/kT of an oscillator at the ends of steps, with x = h omega.
+
+    Next to the exchange, the matrix ((c, b), (-a, c)) of the cycle conserves a q² + b p², and <p²> is exact. With q in
+    units of 1/omega, <q²> is therefore b/a there.
+    """
+    x = Polynomial([0.0, 1.0])
+    (_, b), (a, _) = oscillated(cycle, x)
+    (moved, pushed), _ = oscillated(behind, x)
+    (_, b1, b2), (_, a1, a2) = ((*series.coef[1::2], 0.0, 0.0)[:3] for series in (b, -a))
+    beside = Polynomial([1.0, 0.0, b1 - a1, 0.0, b2 - a2 - a1 * (b1 - a1)])
+    return float((beside * moved**2 + pushed**2).deriv(4)(0.0)) / 24.0
 
 
 def _around_exchange(scheme: Scheme) -> tuple[Sequence, Sequence]:

@@ -1,17 +1,19 @@
-"""The second-order error of averages, against stationary distributions by quadrature."""
+"""The step-size error of averages, against stationary distributions by quadrature."""
 
 import itertools
 from functools import cache, partial
 
 import numpy as np
 import pytest
+from scipy import linalg
 
 import openmm_exactrb as rb
 from averages.stationary import Quartic, Rotor
 from openmm_exactrb.schemes import scheme_for_thermostat
 from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.schemes.second_order import second_order
 from openmm_exactrb.schemes.sequence import spelled
+from openmm_exactrb.schemes.stability import oscillated
+from openmm_exactrb.schemes.step_errors import _around_exchange, step_errors
 from openmm_exactrb.schemes.thermostatted import with_thermostat
 from thermostatted import ending_at_kicks
 
@@ -58,7 +60,7 @@ def test_the_error_of_averages_is_the_predicted_one_at_every_friction(motion, na
     system, (scheme, steps) = MOTIONS[motion](), steps_of(name)
     exact = np.array([system.mean(of(system.z)) for of, _ in system.observables])
     for friction in FRICTIONS:
-        full, *_ = predicted(system, second_order(scheme), friction)
+        full, *_ = predicted(system, step_errors(scheme), friction)
         errors = [
             (system.stationary(scheme, h, friction, [of for of, _ in system.observables]) - exact) / h**2 for h in steps
         ]
@@ -74,7 +76,7 @@ def test_the_error_of_averages_is_the_predicted_one_at_every_friction(motion, na
 @pytest.mark.parametrize("motion", ["quartic well", ROTOR])
 def test_the_error_at_strong_friction_goes_to_its_limit_as_the_square_of_the_inverse(motion):
     """The rotor's limit has the curvature of its sphere in it, which brackets leave out: it is small in a liquid."""
-    system, order = MOTIONS[motion](), second_order(steps_of("W2_3m")[0])
+    system, order = MOTIONS[motion](), step_errors(steps_of("W2_3m")[0])
     curved = [
         -2.0 * order.alpha * system.ricci * system.covariance(of(system.z), system.potential(system.z))
         for of, _ in system.observables
@@ -86,34 +88,70 @@ def test_the_error_at_strong_friction_goes_to_its_limit_as_the_square_of_the_inv
     assert np.diff(np.log2(off)) == pytest.approx(-2.0, abs=0.05)
 
 
+def oscillator(scheme, x, friction):
+    """Return <q²> of an oscillator of frequency 1 and kT = 1 at the ends of steps x, at a friction."""
+    behind, before = _around_exchange(scheme)
+    end = np.array(oscillated(behind, x))
+    cycle, kept = end @ np.array(oscillated(before, x)), np.exp(-friction * x)
+    heat = end @ np.diag([0.0, 1.0 - kept**2]) @ end.T
+    return linalg.solve_discrete_lyapunov(end @ np.diag([1.0, kept]) @ np.linalg.solve(end, cycle), heat)[0, 0]
+
+
+@pytest.mark.parametrize("name", SCHEMES)
+def test_the_energy_of_an_oscillator_is_right_to_fourth_order(name):
+    """Its distribution is normal: Cov(U, S) = Var(S)/2 = <q²>² and the slope of U is -<q²>, as they are in frames."""
+    scheme, order = steps_of(name)[0], step_errors(steps_of(name)[0])
+    steps = scheme.forces * np.array([0.2, 0.1])
+    for friction in FRICTIONS:
+        left = []
+        for x in steps:
+            q2 = oscillator(scheme, x, friction)
+            own, strong = -(order.alpha + order.beta) * q2**2 + order.slope * q2, order.alpha * (2.0 * q2 - q2**2)
+            left.append(0.5 * (q2 - 1.0) - x**2 * (own + strong) - x**4 * order.quartic * 2.0 * q2**2 / 4.0)
+        assert abs(left[1]) < 1e-12 or np.log2(left[0] / left[1]) == pytest.approx(6.0, abs=0.3)
+
+
+@pytest.mark.parametrize("field", [10.0, 20.0])
+def test_the_fourth_order_of_oscillators_is_most_of_that_of_a_rotor_in_a_strong_field(field):
+    """Librations of water are less anharmonic: they have the amplitude of a rotor in a field of more than 20 kT."""
+    system, scheme, friction = Rotor(field), steps_of("W2_3m")[0], 0.3 * np.sqrt(field)
+    order, square = step_errors(scheme), system.square(system.z)
+    second = -field * predicted(system, order, friction)[0][0]  # the potential energy is -field u
+    for libration in (0.8, 1.6):  # h times the frequency
+        h = libration / np.sqrt(field)
+        error = system.stationary(scheme, h, friction, [system.potential])[0] - system.mean(system.potential(system.z))
+        fourth = h**4 * order.quartic * system.covariance(square, square) / 4.0
+        assert 0.5 < fourth / (error - h**2 * second) < 1.0
+
+
 def test_baoab_has_no_error_of_positions_at_strong_friction():
     """B. Leimkuhler and C. Matthews (2013), doi:10.1063/1.4802990."""
     for name in ("BAOAB", "BAOA"):
-        order = second_order(steps_of(name)[0])
+        order = step_errors(steps_of(name)[0])
         for system in (MOTIONS["quartic well"](), MOTIONS[ROTOR]()):
             assert predicted(system, order, 1.0)[2] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_coefficients_are_those_of_the_conserved_energy():
     """By the oscillator, whose conserved energy is known: 1 + 2 alpha h² and 1 + 2 beta h² next to the exchange."""
-    order = second_order(steps_of("W2_3m")[0])
+    order = step_errors(steps_of("W2_3m")[0])
     assert (order.alpha, order.beta) == pytest.approx((-0.0008035, 0.0057183), abs=1e-7)
-    assert second_order(steps_of("BAOAB")[0]) == pytest.approx((-1 / 24, 1 / 12, 0.5, 0.0, 0.5, 0.5))
-    assert second_order(steps_of("V2")[0]) == pytest.approx((1 / 12, -1 / 24, 0.0, 0.0, 0.0, 0.0))
+    assert step_errors(steps_of("BAOAB")[0]) == pytest.approx((-1 / 24, 1 / 12, 0.5, 0.0, 0.5, 0.5, 0.0))
+    assert step_errors(steps_of("V2")[0])[:6] == pytest.approx((1 / 12, -1 / 24, 0.0, 0.0, 0.0, 0.0))
     for name in rb.SCHEMES:
         scheme = scheme_for_thermostat(name)
         if scheme.order > 2 and not scheme.processor and not scheme.generalised:
-            assert second_order(with_thermostat(scheme))[:2] == pytest.approx((0.0, 0.0), abs=1e-12), name
+            assert step_errors(with_thermostat(scheme))[:2] == pytest.approx((0.0, 0.0), abs=1e-12), name
 
 
 def test_where_a_barostat_acts_errors_are_those_of_steps_that_end_there():
     """At the next kick; steps of ABOBA end between drifts too, but not after an exchange, and keep their ends."""
-    own, there = second_order(steps_of("W2_3m")[0]), second_order(ending_at_kicks())
+    own, there = step_errors(steps_of("W2_3m")[0]), step_errors(ending_at_kicks())
     assert own.barostat == pytest.approx(0.135)
     assert own.barostat_slope == pytest.approx(there.slope)
     assert own.barostat_slope - own.slope > 0.002
     for name in ("BAOA", "BAOAB", "ABOBA", "S2_2"):
-        order = second_order(steps_of(name)[0])
+        order = step_errors(steps_of(name)[0])
         assert order.barostat_slope == order.slope
 
 
@@ -129,4 +167,4 @@ def test_where_a_barostat_acts_errors_are_those_of_steps_that_end_there():
 )
 def test_the_theory_refuses_other_steps(scheme):
     with pytest.raises(ValueError, match="cannot be corrected: the theory holds for steps with a single heat exchange"):
-        second_order(scheme)
+        step_errors(scheme)
