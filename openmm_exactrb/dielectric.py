@@ -26,14 +26,14 @@ def dielectric_constant(
 ) -> tuple[float, float]:
     """Return the dielectric constant and its standard error from total dipole moments sampled in equilibrium.
 
-    With x = 4 pi <M²>/(9 V kT) and Q = 2 (eps' - 1)/(2 eps' + 1), where eps' is the dielectric constant of the
-    surroundings, the dielectric constant is
+    For a total moment M in a volume V, with x = 4 pi <M²>/(9 V kT) and Q = 2 (eps' - 1)/(2 eps' + 1), where eps' is the
+    dielectric constant of the surroundings, the dielectric constant is
 
         eps = (1 + (Q + 2) x)/(1 + (Q - 1) x).
 
-    The formula holds for every dipole interaction that gives a uniform polarisation the reaction field of these
+    The formula holds for every dipole interaction in which a uniform polarisation produces the reaction field of these
     surroundings (Neumann, Mol. Phys. 50, 841 (1983)). In conducting surroundings (an Ewald sum, or a reaction field
-    with infinite dielectric constant) the formula reduces to eps = 1 + 3 x. Without a reaction field, it is the
+    with infinite dielectric constant) the formula reduces to eps = 1 + 3 x, and without a reaction field to the
     Clausius-Mossotti formula.
 
     Parameters

@@ -25,7 +25,7 @@ class Clock(Protocol):
 
 
 class Numbers(Protocol):
-    """Named numbers that checkpoints contain; changes of `present` become permanent when the step is accepted."""
+    """Named numbers that checkpoints contain; changes to `present` become permanent when the step is accepted."""
 
     present: dict[str, float]
 
@@ -45,7 +45,7 @@ class Forces(Protocol):
         """Return the potential energy (kJ/mol) of all forces for a state at the present positions."""
 
     def with_energies(self) -> None:
-        """Evaluate the potential energy together with the forces from now on, because it will be needed."""
+        """Evaluate the potential energy together with the forces in all later evaluations."""
 
 
 class Environment(Protocol):
@@ -54,8 +54,8 @@ class Environment(Protocol):
     Attributes
     ----------
     key : int
-        Key of the random numbers of a call; `openmm_exactrb.mechanics.rng.Instant` generates noise from it and the
-        clock.
+        Key of the random numbers in a call of `step`; `openmm_exactrb.mechanics.rng.Instant` generates noise from this
+        key and the clock.
     last_exchange : (State, State) or None
         The states before and after the last heat exchange, which a thermostat sets.
     """
@@ -92,10 +92,10 @@ class Environment(Protocol):
         """The numbers of translational and of rotational degrees of freedom."""
 
     def forces(self, group: int | None = None) -> Forces:
-        """Return the forces of a force group or, by default, the forces of kicks."""
+        """Return the forces of a force group or, by default, all forces that kicks apply."""
 
     def exchange_of(self, number: int) -> Flow[State]:
-        """Return the flow of the n-th heat exchange in a step."""
+        """Return the flow of heat exchange `number` of a step."""
 
     def flow_of(self, sequence: Sequence) -> Flow[State]:
         """Return the flow of a sequence of substeps: flow(state, h) -> state."""

@@ -1,4 +1,4 @@
-"""ExactRigidBodyIntegrator, which uses forces from OpenMM and performs the splitting and the rotations."""
+"""The ExactRigidBodyIntegrator, which performs the splitting and the rotations with forces from OpenMM."""
 
 from __future__ import annotations
 
@@ -34,45 +34,45 @@ from openmm_exactrb.thermostat import Noise, Thermostat, valid_seed
 class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     """Rigid-body dynamics with the exact free rotation and a symmetric splitting.
 
-    Rigid bodies are the clusters of particles that constraints of the System hold rigid. Particles without constraints,
-    and clusters that constraints do not make rigid, are integrated as well. After every call of step(n), the Context
-    contains the new positions, velocities, time and step count. Changes made to the Context between calls are taken
-    into account. A scheme that begins and ends with a kick evaluates the forces again at the start of each call. Within
-    a call, no force is evaluated twice.
+    Rigid bodies are the clusters of particles that the constraints of the System make rigid. Particles without
+    constraints, and clusters that constraints do not make rigid, are integrated as well. After every call of
+    ``step(n)``, the Context contains the new positions, velocities, time and step count. Changes made to the Context
+    between calls are taken into account. A scheme that begins and ends with a kick evaluates the forces again at the
+    start of each call. Within a call, no force is evaluated twice at the same positions.
 
     Parameters
     ----------
     stepSize : float or Quantity, optional
-        Size of a whole step of the scheme, in ps if it has no unit. Pass either ``stepSize`` or ``forceInterval``.
+        Step size of the scheme, in ps if given without a unit. Pass either ``stepSize`` or ``forceInterval``.
     scheme : str or Scheme, optional
         A key of `openmm_exactrb.SCHEMES`, or a scheme of your own. The default evaluates forces once per step, as
         VerletIntegrator does: "W2_1", a processed Verlet scheme, or "BAOA" with a thermostat. Nosé-Hoover chains use
-        "BAOAB" by default, and hybrid Monte Carlo "S2_2".
+        "BAOAB" by default, and hybrid Monte Carlo uses "S2_2".
     rotor : str or Rotor, optional
         A key of `openmm_exactrb.ROTORS`, or an `openmm_exactrb.rotors.Rotor` of your own.
     bodies : sequence of sequences of int, optional
-        Particles of rigid bodies, in addition to the bodies that constraints define. Their shapes are those of the
-        positions at the first step. Forces within these bodies only add a constant to the energy.
+        Particles of each rigid body, in addition to the bodies that constraints define. The positions at the first step
+        define the shapes. Forces within these bodies only add a constant to the energy.
     fast : {"auto", "bonded"} or sequence of int, optional
-        Forces that are integrated with inner steps within the drifts of the scheme: "bonded" means bonds, angles,
-        torsions and pairs three bonds apart; a sequence contains numbers of force groups. The number of evaluations of
-        the other forces, which determines the cost, does not change. "auto" means bonded forces if the interval between
-        force evaluations exceeds a sixteenth of the shortest period of bonds and angles, and None means no inner steps.
+        Forces that are integrated with inner steps within the drifts. "bonded" selects bonds, angles, torsions and
+        pairs three bonds apart; a sequence selects force groups by number. The other forces, which determine the cost,
+        are evaluated as often as without inner steps. "auto" selects bonded forces if force evaluations are more than a
+        sixteenth of the shortest period of bonds and angles apart. None means no inner steps.
     inner : str or Scheme, optional
         Scheme of the inner steps; by default S2_2, or SRKN4_6b if the scheme has an order above 2 or force gradients.
     innerSteps : int, optional
-        Number of inner steps per step, at least one for each drift. By default, bonded forces are evaluated at least 20
-        times per shortest period of bonds and angles, or at least 12.5 times in schemes that contain a heat exchange
-        and 80 times with SRKN4_6b.
+        Number of inner steps per step, at least one for each drift. The default gives at least 20 evaluations of bonded
+        forces per shortest period of bonds and angles, at least 12.5 in schemes that contain a heat exchange, and at
+        least 80 with SRKN4_6b.
     engine : {"auto", "host", "device"}, optional
-        Where steps are performed: "host" means on the processor; "device" means on the device, by kernels for CUDA, HIP
-        and OpenCL (docs: On a GPU); "auto" means on the device if it is a GPU and the engine supports the System (see
-        `engineNote`).
+        Where steps are performed: "host" means on the CPU; "device" means on the device of the Platform, by kernels for
+        CUDA, HIP and OpenCL (see "On a GPU" in the documentation); "auto" means on the device if it is a GPU and the
+        engine supports the System (see `engineNote`).
     thermostat : Thermostat, optional
         A thermostat of `openmm_exactrb.thermostats` or your own; the scheme may then also be a key of
         `openmm_exactrb.schemes.WITH_THERMOSTAT`. None means constant energy.
     forceInterval : float or Quantity, optional
-        Mean time between two force evaluations, in ps if it has no unit, instead of ``stepSize``. A step is this
+        Mean time between two force evaluations, in ps if it has no unit, instead of ``stepSize``. The step size is this
         interval times `forceEvaluationsPerStep`, so that schemes with equal intervals cost about the same.
     checkDivergence : bool, optional
         Whether to raise an error if the total energy jumps. Pass False if your own forces or substeps do work, as in
@@ -125,7 +125,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         self.timings = Timings()
         self._context: weakref.ref[Any] | None = None
         self._propagator: Propagator | None = None
-        self._at_work = threading.Lock()  # held within `step`
+        self._at_work = threading.Lock()  # held while `step` runs
         self._made = True
 
     # -- settings -------------------------------------------------------------------------------------------------
@@ -143,7 +143,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         return self._thermostat
 
     def getNamedBodies(self) -> list[list[int]] | None:
-        """Return the particles of the bodies passed as `bodies`, as they were given."""
+        """Return the particles of each body that was passed as `bodies`, or None."""
         return copy.deepcopy(self._bodies)
 
     def getMultipleTimeSteps(self) -> MultipleTimeSteps | None:
@@ -162,14 +162,14 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
 
     @property
     def forceEvaluationsPerStep(self) -> int:
-        """Number of force evaluations per step, without those of fast forces.
+        """Number of force evaluations per step, excluding those of fast forces.
 
         A processed scheme needs `Scheme.output_forces` additional force evaluations per call of `step`.
         """
         return self._scheme.forces
 
     def setStepSize(self, size: float | unit.Quantity) -> None:
-        """Set the size of a whole step of the scheme, in ps if it has no unit.
+        """Set the step size of the scheme, in ps if given without a unit.
 
         Raises
         ------
@@ -188,17 +188,17 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
                 raise
 
     def setIntegrationForceGroups(self, groups: int | set[int]) -> None:
-        """Set the active force groups, as a set or as the bits of a number; raise ValueError for anything else."""
+        """Set the active force groups, as a set or a bit mask; raise ValueError for anything else."""
         super().setIntegrationForceGroups(checks.force_groups(groups))
         self._groups = openmm.CustomIntegrator.getIntegrationForceGroups(self)
         self._changed()
 
     def getIntegrationForceGroups(self) -> int:
-        """Return the active force groups as bits, as they were set."""
+        """Return the force groups that were set as active, as a bit mask."""
         return self._groups
 
     def setRandomNumberSeed(self, seed: int) -> None:
-        """Set the seed of the noise; if it is 0, the next step draws a seed, which is then kept.
+        """Set the seed of the noise; with 0, the next step draws a seed, which is then kept.
 
         Raises
         ------
@@ -216,7 +216,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         return self._noise.in_use(self)
 
     def getEngine(self) -> str:
-        """Return the name of the engine that performs the steps; with engine="auto", the Context determines it."""
+        """Return the name of the engine that performs the steps, which with engine="auto" depends on the Context."""
         if self._selection.open and self._unsettled():
             self._settle(self._found())
         return self._selection.engine.name
@@ -262,13 +262,13 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         ------
         ValueError
             If the number of steps is negative or not whole, there is no Context yet, nothing can move, a barostat would
-            tear bodies, or positions are not finite or do not fit the bodies. The state is unchanged in these cases.
+            tear bodies apart, or positions are not finite or do not fit the bodies. The state is then unchanged.
         RuntimeError
             If this integrator is already performing a step in another thread.
         IntegrationError
-            If the state becomes non-finite (NonFiniteError) or the total energy jumps. As after any other error, the
-            Context contains the state after the last valid step or, on the device or with a processed scheme, the state
-            before this call.
+            If the state becomes non-finite (NonFiniteError) or the total energy jumps. After this or any other error,
+            the Context contains the state after the last valid step or, on the device or with a processed scheme, the
+            state before this call.
         """
         count = steps if type(steps) is int and steps >= 0 else checks.whole(steps, "the number of steps", least=0)
         self._begin_work()
@@ -285,7 +285,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
             self._at_work.release()
 
     def _begin_work(self) -> None:
-        """Reserve the integrator; raise RuntimeError within a step, during which the state is incomplete."""
+        """Reserve the integrator; raise RuntimeError if a step is in progress, because the state is then incomplete."""
         if not self._at_work.acquire(blocking=False):
             raise RuntimeError(
                 "this integrator is already performing a step, in another thread or from a force that calls it: wait "
@@ -311,7 +311,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
             raise ValueError(f"scheme {self._scheme.name} evaluates no forces: give stepSize=, not forceInterval=")
         return picoseconds(interval) * self.forceEvaluationsPerStep
 
-    def _changed(self) -> None:  # substeps are bound to the new settings before the next step
+    def _changed(self) -> None:  # substeps are bound again before the next step
         self._version += 1
 
     def getSettings(self) -> dict[str, dict[str, Any]]:
@@ -334,7 +334,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         return copies.restored(*self._parts())
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Any:
-        """Return an integrator with the same settings, no Context, and deep copies of a user's own attributes."""
+        """Return an integrator with the same settings, no Context, and deep copies of user-defined attributes."""
         return copies.restored(type(self), *copy.deepcopy(self._parts()[1:], memo))
 
     def _parts(self) -> tuple[Any, ...]:
@@ -385,12 +385,12 @@ draw_by_integrators(ExactRigidBodyIntegrator)
 #: The default scheme at constant energy.
 DEFAULT = "W2_1"
 
-# Settings of OpenMM's integrators with methods getX and setX.
+# Settings of OpenMM's integrators that have methods getX and setX.
 _SETTINGS = "IntegrationForceGroups", "ConstraintTolerance", "RandomNumberSeed"
 
 
 def _parting(integrator: ExactRigidBodyIntegrator) -> Callable[[], None]:
-    """Return the callback that changes the noise of a run that branches off."""
+    """Return a callback that switches to new noise when a run branches off."""
     reference, noise = weakref.ref(integrator), integrator._noise  # noqa: SLF001
 
     def part() -> None:

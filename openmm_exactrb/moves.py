@@ -12,7 +12,7 @@ from typing import Any
 Exchange = Callable[[float], tuple[float, ...]]
 
 
-#: The function of a move in a user's source text, and its name.
+#: Pattern of a move's function in a user's source text; the group is the name of the function.
 MOVE = re.compile(r"\bDEVICE\s+(?:inline\s+)?void\s+(\w+)\s*\(\s*Body\s*\*\s*\w+\s*,\s*double\s+\w+\s*\)")
 
 
@@ -24,7 +24,7 @@ class Op(IntEnum):
     EXCHANGE = 2  # heat exchange with the numbers of the thermostat
     LAST_KICK = 3  # change of momenta by a weighted sum of stored forces
     REMEMBER = 4  # storage of the present forces as the most recent ones
-    DISPLACE = 5  # displacement of particles, not of bodies, by the present forces; the number is e
+    DISPLACE = 5  # displacement of particles, not of bodies, by the present forces; the number is e of GradientKick
     DISPLACED_KICK = 6  # change of momenta by the forces on displaced particles; the numbers are tau and e
     FAST_KICK = 7  # change of momenta of bodies with inner steps by the present fast forces
     OWN = 16  # the first user-defined move
@@ -38,15 +38,15 @@ class Move:
     ----------
     op : Op or int
     part : float
-        The fraction of the step; for a displacement, the factor of the squared step in its number e.
+        The fraction of the step; for a displacement, the factor that multiplies the squared step in e.
     number : int
         For a heat exchange, its index in the step. For a move that stores forces, its index among such moves in the
         step. For a kick by stored forces, the number of weights that multiply forces; the remaining weights multiply
         differences.
     groups : int
-        Bits of the force groups that the move needs: -1 for all, 0 for none.
+        Bit mask of the force groups that the move needs: -1 for all, 0 for none.
     weights : tuple of float
-        Further numbers.
+        Weights of stored forces; for a kick by displaced forces, the factor that multiplies the squared step in e.
     bodies : str
         "all", "inner" or "others", as for `openmm_exactrb.substeps.Drift`.
     text : str
@@ -71,7 +71,7 @@ class Move:
         return self.op in (Op.DRIFT, Op.DISPLACE) or self.op >= Op.OWN
 
     def numbers(self, h: float, exchange: Exchange | None) -> tuple[float, ...]:
-        """Return the numbers that a kernel uses for the move in steps of h (ps)."""
+        """Return the numbers that a kernel uses for the move if the step size is h (ps)."""
         tau = self.part * h
         if self.op == Op.EXCHANGE:
             assert exchange is not None

@@ -30,7 +30,7 @@ _DIGITS = 12
 
 
 class _Lines:
-    """A reporter that writes a line of CSV at intervals of steps, and flushes it immediately."""
+    """A reporter that writes a line of CSV every `reportInterval` steps, and flushes it immediately."""
 
     def __init__(
         self, file: str | os.PathLike[str] | TextIO, reportInterval: int, columns: Sequence[str], append: bool
@@ -64,7 +64,7 @@ class _Lines:
 
 
 class EnergyReporter(_Lines):
-    """Write the energies and temperatures of rigid bodies as CSV, with all digits of float64.
+    """Write the energies and temperatures of rigid bodies as CSV, in full float64 precision.
 
     Temperatures are those of ``ExactRigidBodyIntegrator.temperatures()``.
 
@@ -87,7 +87,7 @@ class EnergyReporter(_Lines):
         super().__init__(file, reportInterval, ("step", "time (ps)", *_COLUMNS, *_SUMS), append)
 
     def describeNextReport(self, simulation: Any) -> dict[str, Any]:
-        """Return the number of steps to the next line, and the data that it needs, as OpenMM requires.
+        """Return the number of steps until the next line and the data that the line needs, in OpenMM's format.
 
         Raises
         ------
@@ -102,7 +102,7 @@ class EnergyReporter(_Lines):
         return {"steps": self._steps_left(simulation), "periodic": None, "include": ["energy"]}
 
     def report(self, simulation: Any, state: Any) -> None:
-        """Write a line for a Simulation and a State with energies."""
+        """Write the line of a State that contains energies."""
         integrator = simulation.integrator
         motion = [a._value for a in (*integrator.kineticEnergies(), *integrator.temperatures())]
         kinetic, potential = sum(motion[:2]), state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
@@ -110,7 +110,7 @@ class EnergyReporter(_Lines):
 
 
 class MomentReporter(_Lines):
-    """Write the total dipole moment as CSV, with all digits of float64.
+    """Write the total dipole moment as CSV, in full float64 precision.
 
     The moment is the sum of charge times position over all particles. In a periodic box, molecules are first made whole
     along constraints and bonds. For soft dipoles, assign the charge strength/length to the tip of each arrow and
@@ -141,7 +141,7 @@ class MomentReporter(_Lines):
         super().__init__(file, reportInterval, ("step", "time (ps)", "Mx", "My", "Mz"), append)
 
     def describeNextReport(self, simulation: Any) -> dict[str, Any]:
-        """Return the number of steps to the next line, and the data that it needs, as OpenMM requires.
+        """Return the number of steps until the next line and the data that the line needs, in OpenMM's format.
 
         Raises
         ------
@@ -152,7 +152,7 @@ class MomentReporter(_Lines):
         return {"steps": self._steps_left(simulation), "periodic": False, "include": ["positions"]}
 
     def report(self, simulation: Any, state: Any) -> None:
-        """Write a line for a Simulation and a State with positions."""
+        """Write the line of a State that contains positions."""
         x, links = state.getPositions(asNumpy=True).value_in_unit(unit.nanometer), self._links_of(simulation)
         if simulation.system.usesPeriodicBoundaryConditions():
             box = state.getPeriodicBoxVectors(asNumpy=True).value_in_unit(unit.nanometer)

@@ -23,14 +23,14 @@ def loadState(target: app.Simulation | openmm.Context, source: str | os.PathLike
     ----------
     target : openmm.app.Simulation or openmm.Context
     source : str, path or openmm.State
-        A file that ``simulation.saveState`` wrote, or a State. Its positions, velocities, box, time and step count are
-        loaded, and so are parameters that the target also has.
+        A file that ``simulation.saveState`` wrote, or a State. The function loads its positions, velocities, box, time
+        and step count, and the parameters that the target also has.
 
     Raises
     ------
     ValueError
         If the source is neither a State nor a file that contains one, has no positions, or has a different number of
-        particles.
+        particles from the target.
 
     Examples
     --------
@@ -65,7 +65,7 @@ def loadState(target: app.Simulation | openmm.Context, source: str | os.PathLike
 
 
 def read_xml(file: str | os.PathLike[str], kind: type[Any], writer: str = "openmm.XmlSerializer") -> Any:
-    """Read an object of a given class, such as openmm.System, from an XML file; errors name the `writer` of such files.
+    """Read an object of a given class, such as openmm.System, from an XML file; error messages name `writer`.
 
     Raises
     ------

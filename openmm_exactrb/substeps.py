@@ -63,7 +63,7 @@ class Substep:
         raise NotImplementedError(f"{type(self).__name__} must define bind(), which returns its flow")
 
     def oscillator(self, tau: Any) -> Matrix:
-        """Return the matrix of the substep for the oscillator q'' = -q, with tau in units of 1/omega."""
+        """Return the matrix of the substep for the oscillator q'' = -q, whose angular frequency is 1."""
         raise ValueError(f"{self!r} has no matrix for a harmonic oscillator: define its method oscillator()")
 
     def device_moves(self, part: float) -> tuple[Move, ...] | None:
@@ -91,7 +91,7 @@ class Drift(Substep):
     additive: ClassVar[bool] = True
 
     def bind(self, environment: Environment) -> Flow[State]:
-        """Return the free motion of these bodies, including fast forces."""
+        """Return the flow of the free motion of these bodies, including fast forces."""
         kinetic = environment.kinetic
         return kinetic.drift if self.bodies == "all" else kinetic.split[self.bodies]
 
@@ -144,10 +144,11 @@ class Kick(Substep):
 class GradientKick(Substep):
     """A kick with a force-gradient term, by forces at displaced positions.
 
-    Over tau, the kick is the flow of V - (strength/2) tau² f . M^-1 f up to higher orders of tau. The force is
-    evaluated at R + d, q exp(e I^-1 N), where d = e F/M and e = strength tau². The torque refers to R and to the axes
-    of q: it exceeds the torque about the displaced centre by d x F, and is rotated from the displaced axes. Both
-    corrections are of second order in e, except for the commutator of the axes, e (I^-1 N) x N. The kick is
+    Over tau, the kick is the flow of V - (strength/2) tau² f . M^-1 f up to higher orders of tau, where f is the
+    generalised force and M the mass matrix. For a body with centre R, orientation q, force F and torque N, forces are
+    evaluated at R + d and q exp(e I^-1 N), where d = e F/M and e = strength tau². The torque of the kick is about R and
+    along the axes of q: the torque about the displaced centre plus d x F, rotated from the displaced axes. Both
+    corrections are of second order in e, except for the commutator of the body axes, e (I^-1 N) x N. The kick is
     time-reversible and, up to these orders, symplectic. The kick conserves the linear momentum, and also the angular
     momentum if all particles belong to bodies that rotate about three axes. For single particles and linear bodies,
     which cannot absorb such torques, the angular momentum is conserved only up to these orders. For single particles,
@@ -159,6 +160,7 @@ class GradientKick(Substep):
     Parameters
     ----------
     strength : float
+        Dimensionless strength of the force-gradient term.
     """
 
     strength: float
@@ -185,7 +187,7 @@ class GradientKick(Substep):
 
 @dataclass(frozen=True)
 class LastForcesKick(Substep):
-    """A kick by a weighted sum of the stored forces of the last kicks, for output only; it evaluates no forces.
+    """A kick by a weighted sum of the stored forces of the last kicks, for output only and without a force evaluation.
 
     Parameters
     ----------
@@ -248,7 +250,7 @@ class HeatExchange(Substep):
         return (Move(Op.EXCHANGE, part, self.number),)
 
 
-#: Pairs of a substep and its fraction of the step, in the order of their execution.
+#: Pairs of a substep and its fraction of the step, in order of execution.
 Sequence = tuple[tuple[Substep, float], ...]
 DRIFT, KICK, HEAT_EXCHANGE = Drift(), Kick(), HeatExchange()
 

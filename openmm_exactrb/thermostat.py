@@ -19,18 +19,19 @@ from openmm_exactrb.mechanics.state import Flow, State
 from openmm_exactrb.schemes import Scheme, thermostatted
 from openmm_exactrb.support.types import Array
 
-#: exchange(P, m, tau, at) -> (P, m): momenta as double-doubles (2, 3, N) and (2, 3, K), in new arrays or the same ones.
+#: exchange(P, m, tau, at) -> (P, m): linear and angular momenta as double-doubles of shape (2, 3, N) and (2, 3, K), in
+#: new arrays or the same ones.
 Exchange = Callable[[Array, Array, float, Instant], tuple[Array, Array]]
 
-_SEEDS = 2**31  # the number of OpenMM's seeds that are not negative
+_SEEDS = 2**31  # number of non-negative seeds in OpenMM
 _STREAMS = 2**22  # a seed and a stream fit into the 53 bits of an OpenMM variable
 
 
 class Factors(NamedTuple):
     """The device kernel that computes the two factors of a heat exchange, a function in kernels/thermostats.cl.
 
-    The record contains the name of the kernel, its defines and the number of its persistent variables: those of
-    ``Thermostat.numbers``, followed by the thermostat's own.
+    The record contains the name of the kernel, its preprocessor definitions and the number of its persistent variables:
+    those of ``Thermostat.numbers``, followed by the thermostat's own.
     """
 
     kernel: str
@@ -66,15 +67,15 @@ class Thermostat(ABC):
 
     @property
     def relaxation(self) -> float | None:
-        """The time in ps in which the thermostat removes heat, or None.
+        """The relaxation time of the thermostat in ps, or None.
 
-        If the temperature of a run stays too high for longer than this time, the step is too long.
+        A temperature that stays too high for longer than this time indicates that the step is too long.
         """
         return None
 
     @property
     def own_numbers(self) -> tuple[str, ...]:
-        """Names of variables of this thermostat alone; no other thermostat can read checkpoints with them."""
+        """Names of variables of this thermostat alone; checkpoints with them cannot be read by other thermostats."""
         return ()
 
     @abstractmethod
@@ -87,7 +88,7 @@ class Thermostat(ABC):
         """
 
     def flow(self, environment: Environment, number: int) -> Flow[State]:
-        """Return the flow of the n-th heat exchange in a step, which acts on momenta along the constraints."""
+        """Return the flow of heat exchange `number` of a step, which acts on momenta projected onto the constraints."""
         exchange, tangent = self.bind(environment), environment.kinetic.tangent
         clock, outside = environment.clock, environment.divergence.outside
         bodies, numbers, heat = environment.bodies, environment.numbers, self.heat
@@ -110,7 +111,7 @@ class Thermostat(ABC):
         return thermostatted.with_thermostat(scheme)
 
     def splitting(self, scheme: Scheme) -> tuple[Scheme, int]:
-        """Return a scheme with the drifts and kicks of a step, and the number of steps of `scheme` in it."""
+        """Return a scheme with the drifts and kicks of a step, and the number of steps of `scheme` that it contains."""
         return scheme, 1
 
     def settings(self) -> Mapping[str, Any]:
@@ -126,7 +127,7 @@ class Thermostat(ABC):
 
 
 def _gain(bodies: RigidBodies, before: State, after: State) -> float:
-    """Return the kinetic energy (kJ/mol) gained by the bodies, from momenta along the constraints."""
+    """Return the kinetic energy (kJ/mol) gained by the bodies, from momenta projected onto the constraints."""
     gains = (
         np.sum((b[0] - a[0]) * (b[0] + a[0]) / (2.0 * inertia))
         for a, b, inertia in ((before.P, after.P, bodies.mass), (before.m, after.m, bodies.inertia.T))
@@ -148,7 +149,7 @@ class Noise:
         self._drew, self._streams = False, 0
 
     def set(self, integrator: openmm.CustomIntegrator, seed: int) -> None:
-        """Set the seed; if it is 0, the next step draws a seed."""
+        """Set the seed; with 0, the next step draws a seed."""
         variables.put(integrator, variables.SEED, seed)
         variables.put(integrator, variables.STREAM, 0)
         self._streams = 0
@@ -158,14 +159,14 @@ class Noise:
         return int(integrator.getRandomNumberSeed()) or int(variables.get(integrator, variables.SEED))
 
     def key(self, integrator: openmm.CustomIntegrator, steps: int) -> int:
-        """Return the key of the random numbers of the next steps; a seed is drawn unless one is set."""
+        """Return the key of the random numbers of the next steps; draw a seed unless one is set."""
         seed = self.in_use(integrator) or 1 + secrets.randbelow(_SEEDS - 1)
         variables.put(integrator, variables.SEED, seed)
         self._drew |= steps > 0
         return seed + _SEEDS * int(variables.get(integrator, variables.STREAM))
 
     def part(self, integrator: openmm.CustomIntegrator) -> None:
-        """Switch to an unused stream if noise was drawn before."""
+        """Switch to an unused stream if noise has already been drawn."""
         if self._drew:
             self._streams = 1 + max(self._streams, int(variables.get(integrator, variables.STREAM)))
             variables.put(integrator, variables.STREAM, self._streams % _STREAMS)

@@ -128,7 +128,9 @@ def summary(claims: list[tuple[str, Claim]]) -> str:
     papers, ours = ([c for c in claims if c[1].ours is own] for own in (False, True))
     lines = [f"Of {len(papers)} claims of the paper, {_counted(papers, VERDICTS)}."]
     lines += (
-        [f"Of {len(ours)} sentences of our own, which go beyond the paper, {_counted(ours, OURS)}."] if ours else []
+        [f"Of {len(ours)} sentences of our own, which make claims beyond the paper, {_counted(ours, OURS)}."]
+        if ours
+        else []
     )
     lines += ["", "| where | claims | agree | other verdicts |", "| --- | --- | --- | --- |"]
     for place in dict.fromkeys(place for place, _ in papers):

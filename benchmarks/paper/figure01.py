@@ -1,10 +1,11 @@
 """Figure 1: precision and cost of all methods on [0, 10], over twenty step sizes, for 100 random bodies.
 
-The figure compares exact methods with approximations by Gauss's rule and with Moser-Veselov methods. The verdicts are
-those of ten draws of 100 bodies. Costs in the picture and in the claims are processor times of compiled code, because
-the paper's programs are in Fortran. The compiled methods loop over the bodies and agree to roundoff with the same
-methods in numpy. The paper draws random inertias and does not state whether I1 + I2 >= I3 holds. Our inertias satisfy
-this condition. Only the number of converged runs is given for both kinds of inertias.
+The figure compares exact methods with approximations by Gauss's rule and with Moser-Veselov methods (`dmv`). The
+verdicts are based on ten draws of 100 bodies. Costs in the picture and in the claims are processor times of compiled
+code, because the paper's programs are in Fortran. The compiled methods loop over the bodies and agree to roundoff with
+the same methods in numpy. The paper draws random inertias and does not state whether I1 + I2 >= I3 holds. Our inertias
+satisfy this condition, as those of every body do. Only the number of converged runs is given for both kinds of
+inertias.
 """
 
 import sys
@@ -22,10 +23,11 @@ from openmm_exactrb.rotors import NotConvergedWarning, rotor
 NAME = "figure01"
 TITLE = "Figure 1: precision and relative cost over the step size"
 PICTURES = {
-    "figure01": "Six panels, a row for each order. Left, digits over cost: the exact methods have 14 digits at every step, "
-    "those with Gauss's rule and dmv fewer the longer the step, and dmv the fewest. Right, cost over that of the cheapest "
-    "method of the paper, dmv6: Gauss's rule costs about 3.5 times as much at the shortest step and 2 at the longest, the exact "
-    "methods 4.5 and 2.7. The exact flow of this package costs about as much as dmv, at full digits."
+    "figure01": "Six panels, one row for each order. Left, digits against cost: the exact methods have 14 digits at every "
+    "step. The methods with Gauss's rule and the dmv methods have fewer digits at longer steps, and the dmv methods have the "
+    "fewest. Right, cost relative to the cheapest method of the paper, dmv6: Gauss's rule costs about 3.5 times as much at "
+    "the shortest step and 2 times as much at the longest, and the exact methods 4.5 and 2.7 times as much. The exact flow "
+    "of this package costs about as much as the dmv methods, at full accuracy."
 }
 ORDERS = (6, 8, 10)
 EXACT = ("rotation", "quaternion_a")
@@ -162,16 +164,16 @@ def convergence(data):
     least = {m: np.min(methods[m]["converged"], axis=0) for m in EXACT + DMV}
     yield Claim(
         "The exact methods always converge.",
-        f"{min(least[m].min() for m in EXACT)} of 100 at the step and in the draw where fewest do.",
+        f"{min(least[m].min() for m in EXACT)} of 100 runs, at the step and in the draw with the fewest converged runs.",
         (Criterion.of("100 of 100 at every step", np.min([least[m] for m in EXACT], axis=0) == 100),),
     )
     anyhow = data["converged_of_any_inertia"]
     physical = np.all([np.abs(least[m] - 75) <= 9 for m in DMV], axis=0)
     yield Claim(
         "The dmv methods converge in 75 runs of 100.",
-        "physical bodies, at the step where fewest do: "
+        "physical bodies, at the step with the fewest converged runs: "
         + ", ".join(f"{m} {span(least[m], 0)}" for m in DMV)
-        + f" of 100; inertias that need not be those of a body, at h = {data['h'][0]:.2f}: "
+        + f" of 100; any inertias, physical or not, at h = {data['h'][0]:.2f}: "
         + ", ".join(f"{m} {span(anyhow[m], 0)}" for m in DMV)
         + ".",
         (
@@ -210,9 +212,9 @@ def precision(data):
     last = {m: np.array(methods[m]["mean_digits"][-1]) for m in (*EXACT, "dmv10")}
     yield Claim(
         "The exact methods reveal a worse accumulation of roundoff (top).",
-        "digits lost from the largest to the smallest step: "
+        "digits lost between the largest and the smallest step: "
         + ", ".join(f"{m} {span(g, 1)}" for m, g in lost.items())
-        + "; digits at the smallest: "
+        + "; digits at the smallest step: "
         + ", ".join(f"{m} {span(d, 1)}" for m, d in last.items())
         + ".",
         (
@@ -220,7 +222,8 @@ def precision(data):
                 "both lose more than half a digit towards small steps", np.min([lost[m] for m in EXACT], 0) > 0.5
             ),
             Criterion.of(
-                "both have fewer digits than dmv10 at the smallest", np.max([last[m] for m in EXACT], 0) < last["dmv10"]
+                "both have fewer digits than dmv10 at the smallest step",
+                np.max([last[m] for m in EXACT], 0) < last["dmv10"],
             ),
         ),
     )
@@ -234,8 +237,9 @@ def cost(data):
     yield Claim(
         "With Gauss's rule the cost is about a third of that with the exact elliptic integral.",
         f"{span(medians)} compiled, {span(in_numpy)} in numpy (medians over the steps). The paper counts three integrals of "
-        "the third kind a step; here there are two, and the complete one only past half a period. In the authors' own "
-        "Fortran (ACM TOMS Algorithm 903, built for this comparison) Gauss's rule takes 1.1 of 2.3 µs per body, about half.",
+        "the third kind per step. Our code computes two, and the complete integral only beyond half a period. In the "
+        "authors' own Fortran (ACM TOMS Algorithm 903, built for this comparison), Gauss's rule takes 1.1 µs per body instead "
+        "of 2.3 µs, about half.",
         (
             Criterion.of(
                 "all six ratios lie between 1/4 and 5/12", np.all(np.abs(np.subtract(medians, 1 / 3)) <= 1 / 12)
@@ -251,9 +255,9 @@ def cost(data):
     yield Claim(
         "The exact methods are clearly more expensive than the approximate ones, but their relative cost improves for "
         "large steps (bottom).",
-        f"cost over that of the cheapest method at h = {data['h'][-1]:.3f} and {data['h'][0]:.2f}: "
+        f"cost relative to the cheapest method at h = {data['h'][-1]:.3f} and {data['h'][0]:.2f}: "
         + ", ".join(f"{m} {r[-1]:.2f} and {r[0]:.2f}" for m, r in relative.items())
-        + "; over that of Gauss's rule of order 10 (medians over the steps): "
+        + "; relative to Gauss's rule of order 10 (medians over the steps): "
         + ", ".join(
             f"{full} {np.median(seconds[full] / seconds[f'{kind}_gauss10']):.2f}" for kind, full in whole.items()
         )
@@ -276,10 +280,12 @@ def cost(data):
         f"{span(gains['compiled'])} times faster compiled; {span(gains['numpy'])} times in numpy, where their iteration is a "
         f"loop in Python. At h = {data['h'][-1]:.3f}, where the iteration is short, they are "
         f"{span([seconds[f'{kind}_gauss{n}'][-1] / seconds[f'dmv{n}'][-1] for kind in whole for n in ORDERS])} times faster "
-        "compiled. Here the iteration ends at a change of 1e-15; the paper does not give its tolerance.",
+        "compiled. Our iteration ends at a change of 1e-15. The paper does not state its tolerance.",
         (
-            Criterion.of("faster, all six", min(gains["compiled"]) > 1.0),
-            Criterion.of("by 2.5 or more, half of the printed factor, all six", min(gains["compiled"]) >= 2.5),
+            Criterion.of("faster in all six comparisons", min(gains["compiled"]) > 1.0),
+            Criterion.of(
+                "faster by 2.5 or more, half of the printed factor, in all six", min(gains["compiled"]) >= 2.5
+            ),
         ),
     )
 

@@ -1,10 +1,10 @@
 """Figure 16: 100 soft dipolar spheres at rest, energy error against force evaluations.
 
-The figure shows the gain of a high order for a molecular system, and that every scheme falls to second order with
-McLachlan-Reich instead of the exact flow. The start of the paper is random, and only its energy is given. Our starts
-are the ten of 4000 random ones whose energies are closest to the printed energy. In each of these ten starts, one pair
-of dipoles is close. The verdicts are for these starts. Five starts that were not selected are shown for comparison.
-Their dipoles hardly move.
+The figure shows the gain of a high order for a molecular system, and that every scheme has only second order with the
+McLachlan-Reich rotation instead of the exact flow. The paper's initial state is random, and only its energy is given.
+We use those ten of 4000 random initial states whose energies are closest to the printed energy. In each of them, two
+dipoles are close to each other. The verdicts are based on these ten. Five random initial states that were not selected
+are shown for comparison. Their dipoles hardly move.
 """
 
 import sys
@@ -23,9 +23,9 @@ from openmm_exactrb.rotors import rotor
 NAME = "figure16"
 TITLE = "Figure 16: dipoles at rest"
 PICTURES = {
-    "figure16": "Top, starts with energies near the paper's: with the exact rotor SRKN4_6b and S6_10 fall with their order to "
-    "roundoff, with McLachlan-Reich they end parallel to V2, whose lines coincide. Bottom, starts that were not selected: all "
-    "but V2 have no more than roundoff at any step."
+    "figure16": "Top, starts with energies near the paper's: with the exact rotor, the errors of SRKN4_6b and S6_10 fall with "
+    "their order to roundoff. With McLachlan-Reich their lines become parallel to that of V2, whose two lines coincide. "
+    "Bottom, starts that were not selected: the errors of all schemes except V2 are roundoff at every step."
 }
 SCHEMES = ("V2", "SRKN4_6b", "S6_10")
 ROTORS = ("exact", "mclachlan_reich")
@@ -187,17 +187,17 @@ def claims(data):
     energies = np.array(data["energies"])
     yield Claim(
         "The start of figure 16 has the energy 0.14134185611814.",
-        f"the start is random and not printed. Of {len(energies)} random starts half have an energy below "
-        f"{np.median(np.abs(energies)):.1g} in size and {np.sum(energies > 0.05)} one above 0.05, the ten nearest have "
-        f"{span(data['nearest']['H0'], '.4f')}.",
+        f"the start is random and not printed. Of {len(energies)} random starts, half have energies below "
+        f"{np.median(np.abs(energies)):.1g} in magnitude, and {np.sum(energies > 0.05)} have energies above 0.05. The ten "
+        f"nearest have energies of {span(data['nearest']['H0'], '.4f')}.",
     )
     lines = {key: np.array(found) for key, found in data["nearest"]["lines"].items()}
     yield from order_claims(data, lines)
     gain = lines["V2 exact"] / np.maximum(lines["SRKN4_6b exact"], 1e-16)
     yield Claim(
         "The Nyström 4th order scheme is extremely accurate.",
-        f"with the exact rotor it has {span(gain, '.0e')} times less error than Verlet at the same evaluations.",
-        (Criterion.of("at least 100 times less at every step size", gain.min(axis=1) >= 100.0),),
+        f"with the exact rotor, its error is {span(gain, '.0e')} times smaller than Verlet's at equal evaluations.",
+        (Criterion.of("at least 100 times smaller at every step size", gain.min(axis=1) >= 100.0),),
     )
     yield rotor_claim(data)
 
@@ -217,7 +217,7 @@ def order_claims(data, lines):
     ahead = {s: reference / lines[f"{s} mclachlan_reich"][:, -1] for s in high}
     yield Claim(
         "With McLachlan-Reich the higher schemes still gain accuracy over Verlet, by their small error coefficients.",
-        "Verlet's error over theirs at the last step size: "
+        "ratio of Verlet's error to theirs at the smallest step size: "
         + ", ".join(f"{s} {span(g, '.0e')}" for s, g in ahead.items())
         + ".",
         tuple(Criterion.of(f"{s}: at least 10", g >= 10.0) for s, g in ahead.items()),
@@ -229,7 +229,7 @@ def order_claims(data, lines):
         "The methods with the exact rotor display the correct order, and are more accurate at the same cost.",
         "orders "
         + ", ".join(f"{s} {np.nanmedian(o):.1f} ({np.nanmin(o):.1f} to {np.nanmax(o):.1f})" for s, o in exact.items())
-        + "; error of the exact rotor over McLachlan-Reich's at the last step size "
+        + "; ratio of the error with the exact rotor to that with McLachlan-Reich at the smallest step size: "
         + ", ".join(f"{s} {span(r, '.2g')}" for s, r in ratio.items())
         + ".",
         (
@@ -237,7 +237,7 @@ def order_claims(data, lines):
                 Criterion.mean(f"{s}: order at least {expected[s]} - 0.5", exact[s], expected[s] - 0.5, np.inf)
                 for s in SCHEMES
             ),
-            *(Criterion.of(f"{s}: less error at the last step size", ratio[s] < 1.0) for s in high),
+            *(Criterion.of(f"{s}: smaller error at the smallest step size", ratio[s] < 1.0) for s in high),
         ),
     )
 
@@ -249,8 +249,10 @@ def rotor_claim(data):
     largest = max(whole, key=int)
     return Claim(
         "For sufficiently many particles it is irrelevant for the cost whether the rotor is McLachlan-Reich or exact.",
-        "one evaluation of all forces (compiled, the same for both) and one call of the rotor (both numpy), exact over "
-        "McLachlan-Reich: " + ", ".join(f"{ratio:.3f} for {n}" for n, ratio in whole.items()) + " bodies.",
+        "time of one evaluation of all forces (compiled, the same for both) and one call of the rotor (both numpy), ratio of "
+        "the exact rotor to McLachlan-Reich: "
+        + ", ".join(f"{ratio:.3f} for {n}" for n, ratio in whole.items())
+        + " bodies.",
         (Criterion.of(f"within 5 % for {largest} bodies", abs(whole[largest] - 1.0) < 0.05),),
     )
 

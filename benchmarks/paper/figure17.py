@@ -1,7 +1,7 @@
 """Figure 17 of the paper: 125 soft dipolar spheres, averages of the energy error over 100 starts.
 
 The methods are V2, SRKN4_6b and S6_10, each with the exact rotor and with McLachlan-Reich, over T = 1. S6_10 has the
-steps 1, 1/2, 1/4 and 1/8; the others have the steps that divide T and are closest to the same number of force
+steps 1, 1/2, 1/4 and 1/8. The other schemes have those steps that divide T and need nearly the same numbers of force
 evaluations. The abscissa is the number of force evaluations, which is proportional to the paper's computational time
 and does not depend on the machine.
 
@@ -9,7 +9,7 @@ The paper gives neither its energies, nor the lattice constant, nor the directio
 particles. Here the lattice constant is 3, and the momenta are opposite and point outward along the diagonal. The
 energies are 4 (a little above the largest potential energy of the 100 starts, 3.18), 20, 100 and 1000. Taken literally,
 the paper's text (q_1 = [1, 1, 1], q_125 = [5, 5, 5], sigma = 1) means a lattice constant of 1. The potential energy is
-then 1245 on average, the spheres fly apart, and with the two larger steps the energy grows by eight and more orders of
+then 1245 on average, the spheres fly apart, and with the two larger steps the energy grows by at least eight orders of
 magnitude with every method (options `--spacing 1 --energies 1400 2000 5000 20000 --starts 3`).
 """
 
@@ -34,7 +34,7 @@ NAME = "figure17"
 TITLE = "Figure 17: dipoles at different energies, 100 starts"
 PICTURES = {
     "figure17": "Four panels, one for each energy. At H0 = 4 the lines with McLachlan-Reich flatten and end two powers of ten "
-    "above those with the exact rotor; at 20 they separate at the last step; at 100 and 1000 they coincide."
+    "above those with the exact rotor. At H0 = 20 the lines separate at the last step, and at 100 and 1000 they coincide."
 }
 OUT = Path("out/paper")
 N = 125
@@ -188,15 +188,15 @@ def claims(data):
     starts = max(row["starts"] for row in data["averages"])
     yield Claim(
         "For small energies the methods with the exact rotor perform very well.",
-        f"means of {starts} starts at H0 = {lowest:g} and the shortest step: McLachlan-Reich leaves "
-        + ", ".join(f"{g:.3g} times the error with {s}" for s, g in low.items())
+        f"means of {starts} starts at H0 = {lowest:g} and the shortest step: with McLachlan-Reich the errors are "
+        + ", ".join(f"{g:.3g} times as large for {s}" for s, g in low.items())
         + f". {GUESSED}.",
         tuple(Criterion.of(f"{s}: at least 10 times", g >= 10.0) for s, g in low.items()),
     )
     yield Claim(
         "For higher energies the effect of the exact rotor is less relevant.",
-        f"at H0 = {highest:g} that ratio is "
-        + ", ".join(f"{g:.3g} with {s}" for s, g in high.items())
+        f"at H0 = {highest:g} the same ratio of errors is "
+        + ", ".join(f"{g:.3g} for {s}" for s, g in high.items())
         + f". {GUESSED}.",
         tuple(Criterion.of(f"{s}: less than at H0 = {lowest:g}", high[s] < low[s]) for s in low),
     )

@@ -19,7 +19,7 @@ splitting methods*, SIAM J. Sci. Comput. 30, 2084 (2008), doi:10.1137/070704393.
 RULES = """\
 ## How a verdict is reached
 
-`make paper` runs the scripts in `benchmarks/paper`, which compute the numbers and write these pages; `make paper
+`make paper` runs the scripts in `benchmarks/paper`, which compute the numbers and write these pages. `make paper
 ARGS=--stored` writes the pages from the stored data in `docs/paper/data`. A verdict is computed from criteria, which
 are printed with every claim:
 
@@ -31,8 +31,8 @@ are printed with every claim:
 - it **cannot be decided** if the paper does not state the required information, or if our numbers do not allow a
   decision.
 
-The claims of the paper rarely contain a number, so the numbers in criteria, such as "within a factor of 3", were chosen
-here. Criteria that are stricter than the claim of the paper are marked and do not affect the verdict. Our own
+The claims of the paper rarely contain a number, so the numbers in the criteria, such as "within a factor of 3", are
+our choice. Criteria that are stricter than the claim of the paper are marked and do not affect the verdict. Our own
 statements, under "Beyond the paper", are judged in the same way and counted separately. Costs are processor times on
 one core and are meaningful only as ratios. No verdict depends on a ratio of times between compiled code and NumPy code.
 
@@ -46,7 +46,7 @@ reference of 50 digits or by the slope of the energy error.
 | place | printed | correct | evidence |
 | --- | --- | --- | --- |
 | (52), S4_6 | b2 = 0.143851773179818 | b2 = -0.143851773179818 | order 2 as printed, 4.00 as corrected |
-| (54), SRKN6_14a | a4 = 0.314241403071477 | a4 = 0.314241403071447 | two digits exchanged; other published tables agree with the correction |
+| (54), SRKN6_14a | a4 = 0.314241403071477 | a4 = 0.314241403071447 | two digits are exchanged; other published tables agree with the correction |
 | (5), (6), (14) | signs of λ, ξ2 and Π | λ has the sign of the component with dn (m1 in case (a), m3 in case (b)), also within the angle; n = (I3 - I2)/(I2 a1²) in case (a) and (I2 - I1)/(I2 a3²) in case (b); Π(φ + Nπ) = Π(φ) + 2N Π of a quarter period; the phase from atan2(sn, cn), not asin | errors of order 1 |
 | (38), choice (a) | one formula | valid in case (a) only. In case (b), with μs = sign(m3) μ, n = -I3 (I2 - I1)/(I1 (I3 - I2)) and R = sqrt(1 - n): ψ = (t - t0)/I3 + (2T I3 - 1)/(I3 λ (1 - μ²)) (ΔΠ(n) - μs Δ[atan(R tan φ)/R]), atan continued by π per half turn | errors of order 1 in case (b) |
 | choice (c) | one formula | case (a): n = -a3² I3/(I1 a1²) and the factor (I3 - I1)/(I1 I3 λ); case (b): the same factor with the n of choice (a), case (b) | errors of order 1 in case (b) |
@@ -63,10 +63,11 @@ WHEN = """\
 ## Consequences for the choice of a scheme
 
 - If the potential is small compared with the kinetic energy and varies slowly within a step (a perturbed free body, a
-  satellite), use `SABA_4`, or `ABA_10_6_4` at tight tolerances. If output is rare, `V2_C17` is better; its corrector
-  costs 32 evaluations per output. If a force gradient is available as well, use `V2_gradient_C17`.
-- If the potential is as large as the kinetic energy (T0 = ε, dipoles, every liquid), these schemes have no advantage.
-  The page [Which integrator, scheme and step](which.md) gives recommendations for molecules.
+  satellite), use `SABA_4`, or `ABA_10_6_4` at tight tolerances. If output is rare, `V2_C17` is better, whose corrector
+  costs 32 evaluations per output. If a force gradient is also available, use `V2_gradient_C17`.
+- If the potential is as large as the kinetic energy (tops with T0 = ε, dipoles, liquids), these schemes have no
+  advantage over schemes for any potential. The page [Which integrator, scheme and step](which.md) gives
+  recommendations for molecules.
 - With the McLachlan-Reich rotor instead of the exact rotor, every scheme has order 2, except for compositions of Verlet
   steps (`Y4_3`, `Y6_7`, `KL8_17`), which have large error constants.
 """

@@ -1,9 +1,9 @@
 """Table 1 and figure 2: error and cost of one step of h = 5 by the two exact methods, 100 random momenta.
 
 The table shows the error and the cost of the exact methods for one long step. The reference is a Taylor series in
-double-double precision; the paper used ode45 at its tolerance. The verdicts are those of ten draws of 100 bodies. The
+double-double precision, whereas the paper used Matlab's ode45. The verdicts are based on ten draws of 100 bodies. The
 picture and the table are for methods in numpy, except for one line, marked as compiled, which no claim uses. The
-fraction of time spent in the integrals of the third kind is that of the same methods compiled, since those of the paper
+fraction of time spent in the integrals of the third kind is that of the compiled methods, since the paper's programs
 are in Fortran.
 """
 
@@ -24,9 +24,9 @@ from openmm_exactrb.rotors.euler import carlson
 NAME = "table1"
 TITLE = "Table 1 and figure 2: one step of h = 5"
 PICTURES = {
-    "figure02": "Two panels of 100 bodies. Top, errors: those of all three methods scatter between 1e-16 and 1e-13, below two "
-    "dashed lines near 1e-12, the medians that the paper prints. Bottom, the time of a call: rotation matrices take longest, "
-    "the package's exact flow least."
+    "figure02": "Two panels for 100 bodies. Top, errors: those of all three methods scatter between 1e-16 and 1e-13, below two "
+    "dashed lines near 1e-12, which are the medians printed in the paper. Bottom, times of a call: rotation matrices take "
+    "the longest time, and the exact flow of this package the shortest."
 }
 METHODS = ("rotation", "quaternion_a", "exact_numpy")
 COMPILED = ("exact_compiled",)
@@ -178,23 +178,23 @@ def claims(data):
     yield Claim(
         "Median errors of one step are 7.1e-13 (rotation) and 3.3e-13 (quaternion).",
         "; ".join(
-            f"{method} {np.median(methods[method]['errors']):.1e}, the printed one over the median of a draw is "
+            f"{method} {np.median(methods[method]['errors']):.1e}, and the ratio of the printed median to that of a draw is "
             f"{printed / medians[method].max():.0f} to {printed / medians[method].min():.0f}"
             for method, printed in PAPER.items()
         )
         + ". The authors' own Fortran (ACM TOMS Algorithm 903, built for this comparison) has medians of 1.8e-15 "
-        "(rotation) and 2.9e-15 (quaternion), so the printed ones are most likely the error of the paper's reference. The "
-        f"pair of ode45 (scipy's RK45) at a relative tolerance of 2.2e-14 has an error of {np.median(reference):.1e} in "
-        f"the median of {reference.size} bodies, {reference.max():.1e} at most.",
+        "(rotation) and 2.9e-15 (quaternion), so the printed medians are most likely errors of the paper's reference. The "
+        f"Runge-Kutta pair of ode45 (scipy's RK45) at a relative tolerance of 2.2e-14 has a median error of "
+        f"{np.median(reference):.1e} and a largest error of {reference.max():.1e} for {reference.size} bodies.",
         tuple(
             Criterion.of(
-                f"the median of {method} is within a factor of 10 of the printed one",
+                f"the median of {method} is within a factor of 10 of the printed median",
                 (medians[method] > 0.1 * printed) & (medians[method] < 10.0 * printed),
             )
             for method, printed in PAPER.items()
         ),
         exceeded=Criterion.of(
-            "both medians are smaller than the printed ones by more than a factor of 10",
+            "both medians are smaller than the printed medians by more than a factor of 10",
             np.all([medians[method] < 0.1 * printed for method, printed in PAPER.items()], axis=0),
         ),
     )
@@ -202,8 +202,8 @@ def claims(data):
     ratio = medians["rotation"] / medians["quaternion_a"]
     yield Claim(
         "Accuracy and cost of the two exact methods are very comparable.",
-        f"the error of rotation over that of quaternion_a is {ratio.min():.2f} to {ratio.max():.2f} (medians of the "
-        f"draws; printed 2.1), the cost {cost[0] / cost[1]:.2f} (printed 1.05).",
+        f"the ratio of the error of rotation to that of quaternion_a is {ratio.min():.2f} to {ratio.max():.2f} (medians of the "
+        f"draws; printed 2.1), and that of the costs is {cost[0] / cost[1]:.2f} (printed 1.05).",
         (
             Criterion.of("the median errors differ by less than a factor of 3", (ratio > 1 / 3) & (ratio < 3.0)),
             Criterion.of("the costs differ by less than a fifth", 0.8 < cost[0] / cost[1] < 1.25),
@@ -215,11 +215,11 @@ def claims(data):
     }
     yield Claim(
         "The computational effort is dominated by the elliptic integrals of the third kind.",
-        f"their share of the time of a call with {bodies_of(data)} bodies is {words['compiled']} compiled, and "
-        f"{words['numpy']} in numpy. In the authors' Fortran, Gauss's rule instead of the exact integrals takes 1.1 of 2.3 "
-        "µs per body: they are about half of the effort.",
+        f"the integrals' share of the time of a call with {bodies_of(data)} bodies is {words['compiled']} compiled, and "
+        f"{words['numpy']} in numpy. In the authors' Fortran, a step takes 2.3 µs per body with the exact integrals and 1.1 "
+        "µs with Gauss's rule, so the integrals account for about half of the effort.",
         tuple(
-            Criterion.of(f"it is above one half for {method}, compiled", s > 0.5)
+            Criterion.of(f"the share is above one half for {method}, compiled", s > 0.5)
             for method, s in data["third_kind_share"]["compiled"].items()
         ),
     )

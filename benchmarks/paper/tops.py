@@ -1,9 +1,9 @@
 """Figures 12 and 13: energy error of the heavy top as a perturbed free body, for five kinetic energies.
 
 The figures show the gain of an exact free flow if the potential is a perturbation. We added schemes for a small
-potential, which require an exact flow. The paper gives the mean over 20 tops of the relative error; our error is the
-largest along the run, at a hundred equidistant times (ten for a processed scheme). Verdicts are those of five draws of
-20 tops, at the basic steps 8, 5 and 4; the pictures and the table show the first draw.
+potential, which require an exact flow. The paper gives the mean over 20 tops of the relative error. Our error is the
+largest along the run, at a hundred equidistant times (ten for a processed scheme). The verdicts are based on five draws
+of 20 tops, at the basic steps 8, 5 and 4. The pictures and the table show the first draw.
 """
 
 import sys
@@ -19,12 +19,13 @@ from openmm_exactrb.schemes import scheme
 NAME = "tops"
 TITLE = "Figures 12 and 13: the heavy top as a perturbed free body"
 PICTURES = {
-    "figure12": "Fifteen panels for ε = 1e-6: five kinetic energies, three groups of methods. With the exact rotor errors are "
-    "below ε, but for the longest steps at T0 = 1, where they fall steeply. With McLachlan-Reich they are near 1 at T0 = 1 "
-    "with long steps, and always at larger T0. The schemes for a small potential have the least error at T0 = 1.",
-    "figure13": "The same fifteen panels for ε = 1e-3. With the exact rotor errors are below ε, but for the longest steps at T0 = "
-    "1; with McLachlan-Reich they are near 1 at larger T0. V2_gradient_C17 leaves 1e-7 at T0 = 1 with the longest steps, where "
-    "the paper's schemes leave 1e-4 and more.",
+    "figure12": "Fifteen panels for ε = 1e-6: five kinetic energies, three groups of methods. With the exact rotor, errors are "
+    "below ε, except for the longest steps at T0 = 1, where they fall steeply. With McLachlan-Reich, errors are near 1 for "
+    "long steps at T0 = 1, and for all steps at larger T0. The schemes for a small potential have the smallest errors at "
+    "T0 = 1.",
+    "figure13": "The same fifteen panels for ε = 1e-3. With the exact rotor, errors are below ε, except for the longest steps at "
+    "T0 = 1. With McLachlan-Reich, errors are near 1 at larger T0. At T0 = 1 with the longest steps, the error of "
+    "V2_gradient_C17 is 1e-7, whereas those of the paper's schemes are at least 1e-4.",
 }
 EPSILONS = (1e-6, 1e-3)
 ENERGIES = ("ε²", "ε", "1", "1/ε", "1/ε²")
@@ -140,8 +141,11 @@ def table(data):
     for key, line in data["lines"].items():
         cells = [f"{line[k][i][j]:.1e}" for j in (2, 1) for i in (0, 1)]
         lines.append((key.replace(" ", " + "), *cells))
-    return "Mean error of the first draw at 2 force evaluations per unit of time:\n\n" + common.markdown(
-        ("scheme + rotor", "ε = 1e-6, T0 = 1", "ε = 1e-3, T0 = 1", "ε = 1e-6, T0 = ε", "ε = 1e-3, T0 = ε"), lines
+    return (
+        "The table shows the mean error of the first draw at 2 force evaluations per unit of time:\n\n"
+        + common.markdown(
+            ("scheme + rotor", "ε = 1e-6, T0 = 1", "ε = 1e-3, T0 = 1", "ε = 1e-6, T0 = ε", "ε = 1e-3, T0 = ε"), lines
+        )
     )
 
 
@@ -157,7 +161,7 @@ def claims(data):
     ratio = exact[:, :, 1] / exact[:, :, 0]
     yield Claim(
         "The leading error is expected to be linear in ε.",
-        "error for ε = 1e-3 over that for 1e-6 at T0 = 1 and 2 evaluations per unit of time: "
+        "ratio of the error for ε = 1e-3 to that for ε = 1e-6 at T0 = 1 and 2 evaluations per unit of time: "
         + ", ".join(f"{name} {r.min():.0f} to {r.max():.0f}" for name, r in zip(PAPER, ratio, strict=True))
         + ".",
         tuple(
@@ -173,14 +177,14 @@ def claims(data):
     last, before = (np.array(data["lines"]["S6_10 mclachlan_reich"][-k])[:, 2] for k in (1, 2))
     slope = np.log2(before / last)
     yield Claim(
-        "On the heavy top too, a scheme of order 6 with McLachlan-Reich ends as second order.",
+        "For the heavy top as well, a scheme of order 6 with McLachlan-Reich converges with order 2.",
         f"S6_10, slope over the last halving of the step at T0 = 1: {slope[0]:.2f} and {slope[1]:.2f} for the two ε.",
         (Criterion.of("both within 0.35 of 2", bool(np.all(np.abs(slope - 2.0) < 0.35))),),
         ours=True,
     )
     small = best(data, h5, 0, 2)
     yield Claim(
-        "A scheme for a small potential leaves at most 1/1000 of the error of the paper's best one, for ε = 1e-6, "
+        "The error of a scheme for a small potential is at most 1/1000 of that of the paper's best scheme, for ε = 1e-6, "
         "T0 = 1, at 2 force evaluations per unit of time.",
         compared(small),
         (Criterion.of("the ratio is at most 1/1000", small[1][1] <= 1e-3 * small[0][1]),),
@@ -188,9 +192,9 @@ def claims(data):
     )
     large = best(data, h5, 1, 1)
     yield Claim(
-        "They do not win where the potential is as large as the kinetic energy, T0 = ε.",
+        "Schemes for a small potential are not the best if the potential is as large as the kinetic energy, T0 = ε.",
         f"ε = 1e-3, 2 evaluations per unit of time: {compared(large)}",
-        (Criterion.of("the paper's best one has less error", large[0][1] < large[1][1]),),
+        (Criterion.of("the paper's best scheme has a smaller error", large[0][1] < large[1][1]),),
         ours=True,
     )
 
@@ -209,9 +213,9 @@ def below_epsilon(data):
     )
     return Claim(
         "Only the methods with the exact rotor have an error below ε for all step sizes.",
-        f"largest mean error over ε, at the basic steps 8, 5 and 4: exact {np.max(exact[:, :, :, 0]):.1f} and "
+        f"largest ratio of the mean error to ε, at the basic steps 8, 5 and 4: exact {np.max(exact[:, :, :, 0]):.1f} and "
         f"{np.max(exact[:, :, :, 1]):.1f}, McLachlan-Reich {np.max(other[:, :, :, 0]):.0e} and "
-        f"{np.max(other[:, :, :, 1]):.0e} for ε = 1e-6 and 1e-3. Above ε with the exact rotor in some draw: "
+        f"{np.max(other[:, :, :, 1]):.0e} for ε = 1e-6 and 1e-3. Errors above ε with the exact rotor in some draw: "
         + ("; ".join(where) or "nothing")
         + ". Our errors are the largest along the run, which is stricter than the paper's mean.",
         (
@@ -239,7 +243,7 @@ def compared(pair):
     (paper, e1), (ours, e2) = pair
     return (
         f"{paper} {e1.min():.1e} to {e1.max():.1e}, {ours} {e2.min():.1e} to {e2.max():.1e}: "
-        f"ours over theirs {np.min(e2 / e1):.1e} to {np.max(e2 / e1):.1e}."
+        f"ratio of ours to theirs {np.min(e2 / e1):.1e} to {np.max(e2 / e1):.1e}."
     )
 
 

@@ -1,4 +1,4 @@
-"""The description of a System by ``exactrb info FILE``: contents, motion and suitable steps."""
+"""The description of a System by ``exactrb info FILE``: contents, motion and suitable step sizes."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from openmm_exactrb.multiple_time_steps.stiffness import frequencies
 from openmm_exactrb.schemes import splitting
 from openmm_exactrb.tuning.floor import causes
 
-_SHOWN = 3  # number of periods in the description
-_WATER = 18.015  # amu
+_SHOWN = 3  # largest number of periods in the description
+_WATER = 18.015  # mass of a water molecule in amu
 
 
 def described(

@@ -33,7 +33,7 @@ _PART, _LONGEST = 0.2, 5.0
 def claim(job: Run, args: argparse.Namespace, files: Iterable[str]) -> None:
     """Prepare the folder of a locked run: delete overwritten files, and raise FileExistsError for files of other runs.
 
-    The run writes `files` in addition to the files of this module. If it is resumed without a checkpoint, it creates
+    The run writes `files` in addition to the files of this module. A run that is resumed without a checkpoint creates
     the files of this module again.
     """
     if job.resuming:
@@ -50,7 +50,7 @@ def claim(job: Run, args: argparse.Namespace, files: Iterable[str]) -> None:
 def start_of(job: Run, args: argparse.Namespace, box: Box, platform: openmm.Platform) -> openmm.State:
     """Return the State at step 0: the user's State, or an equilibrated one.
 
-    A start without velocities is minimised, given velocities, and equilibrated for ``--equilibrate``.
+    A start without velocities is minimised, given velocities, and equilibrated for the time in ``--equilibrate``.
     """
     if job.resuming:
         return read_xml(job.folder / START, openmm.State)

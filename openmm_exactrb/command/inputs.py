@@ -61,7 +61,7 @@ class Box:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the command-line arguments for files and molecules, which are None if they are not given."""
+    """Add the command-line arguments for files and molecules, whose values are None unless given."""
     positive, shown = arguments.positive, {name: f"({of})" for name, of in DEFAULTS.items()}
     add = parser.add_argument_group("molecules").add_argument
     files = "PDB or PDBx; system.xml and state.xml of OpenMM; prmtop and inpcrd of Amber; top and gro of GROMACS"
@@ -245,7 +245,7 @@ def begin_at(simulation: app.Simulation, state: openmm.State) -> None:
 
 
 def topology_of(system: openmm.System, state: openmm.State) -> app.Topology:
-    """Return a topology for a System, with a residue per molecule, elements found by mass, and the box of the State."""
+    """Return a topology for a System, with one residue per molecule, elements by mass, and the box of the State."""
     context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
     context.setPositions(state.getPositions())
     molecules = context.getMolecules()

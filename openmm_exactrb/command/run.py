@@ -27,7 +27,7 @@ from openmm_exactrb.tuning.advice import BUDGET, CANDIDATES
 PURPOSE = "Run a simulation: trajectory, energies and a picture in a folder; --resume continues it after any accident."
 
 _TRAJECTORIES = {"dcd": app.DCDReporter, "xtc": app.XTCReporter}
-# Options that may differ when a run is resumed: files and force field are compared by the System that they define.
+# Options that may differ when a run is resumed: files and force field are compared through the System that they define.
 _FREE = ("command", "duration", "files", "forcefield", "picture", "quiet")
 # Defaults of options that raise an error in runs on which they have no effect.
 _DEFAULTS: dict[str, Any] = {

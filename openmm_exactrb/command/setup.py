@@ -23,7 +23,7 @@ OPTIONS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("rotor", {**arguments.one_of(ROTORS), "default": "exact", "help": "free rotation (%(default)s)"}),
 )
 _REMOVER = "CMMotionRemover"
-_MOVE = 0.05  # ps between two moves of the barostat at any step size: OpenMM's default of 25 steps, of 2 fs each
+_MOVE = 0.05  # ps between two moves of the barostat for any step size, which is OpenMM's default of 25 steps of 2 fs
 
 
 def couple(system: openmm.System, args: argparse.Namespace) -> None:

@@ -33,11 +33,11 @@ class BodyAccess:
 
     @abstractmethod
     def getIntegrationForceGroups(self) -> int:
-        """Return the active force groups as bits."""
+        """Return the active force groups as a bit mask."""
 
     @abstractmethod
     def getNamedBodies(self) -> list[list[int]] | None:
-        """Return the particles of the bodies named by hand, or None."""
+        """Return the particles of each body that was passed as `bodies`, or None."""
 
     @abstractmethod
     def _up_to_date(self) -> Any:
@@ -106,7 +106,7 @@ class BodyAccess:
 
         The result is the mean of `temperatures`, weighted by `degreesOfFreedom`. OpenMM's reporters call this method
         instead of counting the constraints of the System, because that count is wrong for redundant constraints and for
-        bodies named by hand.
+        bodies passed as `bodies`.
         """
         propagator = self._up_to_date()
         return _temperature(sum(thermal_energies(propagator, propagator.sync.state)), sum(freedom_of(propagator)))
@@ -115,14 +115,15 @@ class BodyAccess:
         """Draw the momenta of the bodies from the canonical distribution at a temperature.
 
         The distribution is also correct for linear bodies, for redundant constraints and for bodies without
-        constraints. With a CMMotionRemover the total momentum is 0. ``Context.setVelocitiesToTemperature`` calls this
-        method if OpenMM's constraint solver does not converge or bodies are named by hand.
+        constraints. With a CMMotionRemover, the total momentum is 0. ``Context.setVelocitiesToTemperature`` calls this
+        method if OpenMM's constraint solver does not converge or the integrator has `bodies`.
 
         Parameters
         ----------
         temperature : float or Quantity
-            In K if it has no unit.
+            Temperature, in K if it has no unit.
         randomSeed : int, optional
+            Seed of the random numbers; by default drawn from the operating system.
 
         Raises
         ------
@@ -137,8 +138,9 @@ class BodyAccess:
     def minimizeEnergy(self, tolerance: float | unit.Quantity = 10.0, maxIterations: int = 0) -> None:
         """Minimise the potential energy.
 
-        Bodies stay rigid, including those named by hand. ``simulation.minimizeEnergy`` calls this method if bodies are
-        named by hand or constraints are redundant. OpenMM minimises molecules that are constrained but not rigid.
+        Bodies stay rigid, including those passed as `bodies`. ``simulation.minimizeEnergy`` calls this method if the
+        integrator has `bodies` or constraints are redundant. OpenMM minimises molecules that are constrained but not
+        rigid.
 
         Parameters
         ----------
@@ -151,8 +153,8 @@ class BodyAccess:
         Raises
         ------
         ValueError
-            If the tolerance is not a positive force, the number of iterations is not whole, or bodies are named by hand
-            and molecules are constrained but not rigid.
+            If the tolerance is not a positive force, the number of iterations is not whole, or the integrator has
+            `bodies` and some molecules are constrained but not rigid.
         NonFiniteError
             If the energy or a force at the start is not finite.
         ArithmeticError
@@ -197,7 +199,7 @@ class BodyAccess:
         return sync.bodies, BodyState(*(a.copy() for a in sync.bodies.tangent(sync.state.rounded)))
 
     def fullState(self) -> tuple[RigidBodies, State]:
-        """Return the bodies and a copy of their state as sums high + low (`openmm_exactrb.mathematics.compensated`)."""
+        """Return the bodies and a copy of their state in double-doubles (`openmm_exactrb.mathematics.compensated`)."""
         sync = self._up_to_date().sync
         return sync.bodies, State(*(a.copy() for a in sync.state))
 

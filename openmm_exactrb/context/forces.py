@@ -44,7 +44,7 @@ class EvaluatedForces(ABC):
 
     @abstractmethod
     def with_energies(self) -> None:
-        """Evaluate the potential energy together with the forces from now on."""
+        """Evaluate the potential energy together with the forces in all later evaluations."""
 
     @abstractmethod
     def _evaluated(self, state: State, present: bool) -> Force:
@@ -71,7 +71,7 @@ class ContextForces(EvaluatedForces):
         return self._potential_energy(self.positions.show, state)
 
     def with_energies(self) -> None:
-        """Evaluate the potential energy together with the forces from now on."""
+        """Evaluate the potential energy together with the forces in all later evaluations."""
         self._energies = True
 
     def landscape(self, state: BodyState) -> tuple[float, Array, Array]:
@@ -140,7 +140,7 @@ class Remainder(EvaluatedForces):
         return self._forces.energy(state)
 
     def with_energies(self) -> None:
-        """Evaluate the potential energy together with the forces from now on."""
+        """Evaluate the potential energy together with the forces in all later evaluations."""
         self._forces.with_energies()
 
     def _evaluated(self, state: State, present: bool) -> Force:

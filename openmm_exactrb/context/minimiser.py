@@ -1,4 +1,4 @@
-"""Minimisation where OpenMM's minimiser fails: bodies named by hand, and constraints that its solver cannot handle."""
+"""Minimisation where OpenMM's minimiser fails: bodies passed as `bodies`, and constraints that it cannot handle."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ OPENMM = openmm.LocalEnergyMinimizer.minimize
 def minimise_by_integrators(kind: type[Any]) -> None:
     """Let integrators of a class minimise the energy with ``minimizeEnergy`` where OpenMM's minimiser fails.
 
-    OpenMM's minimiser would deform bodies named by hand, and the first step would use the deformed shape. With
-    redundant constraints it returns NaN or crashes, and it pulls together the parts of molecules that the box has
-    split. The method of OpenMM's minimiser is replaced because ``Simulation.minimizeEnergy`` calls it before the
-    integrator knows its Context.
+    OpenMM's minimiser would deform bodies passed as `bodies`, and the first step would use the deformed shape. With
+    redundant constraints, the minimiser returns NaN or crashes, and it pulls together the parts of molecules that the
+    box has split. The method of OpenMM's minimiser is replaced because ``Simulation.minimizeEnergy`` calls it before
+    the integrator has found its Context.
     """
 
     @functools.wraps(OPENMM)

@@ -18,8 +18,8 @@ _DEPENDENT = 1e-6
 def solvable(system: openmm.System, x: Array) -> bool:
     """Return whether OpenMM's solver handles the constraints of a System at positions (n_particles, 3).
 
-    The solver fails if the box has split molecules, because it does not use nearest images. With redundant constraints
-    it may diverge, or leave motions that satisfy the constraints to first order but deform a rigid body.
+    The solver fails if the box has split molecules, because it does not use nearest images. With redundant constraints,
+    the solver may diverge, or leave motions that satisfy the constraints to first order but deform a rigid body.
     """
     pairs, lengths = parameters.constraints(system)
     if not len(pairs):

@@ -21,7 +21,7 @@ from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.support.types import Array, Indices
 
 # Mixed precision rounds the positions (nm) and velocities (nm/ps) of the Context. A saved state is restored in full
-# precision if they differ from its own values by at most _SAME plus _SAME_PART times the value.
+# precision if these differ from the saved values by at most _SAME plus _SAME_PART times the value.
 _SAME, _SAME_PART = 1e-13, 3e-14
 # Particles farther than this (nm) from their positions in rigid bodies are moved to these positions in the Context too.
 _RIGID = 1e-9
@@ -122,7 +122,7 @@ class Synchronisation:
         self._seen: tuple[Array, Array] | None = None  # values in the Context when it last held `state`
         self.state: State
         self.inner: State | None = None
-        self._coordinates = 0.0  # the mark of the coordinates of the inner state
+        self._coordinates = 0.0  # the mark of the coordinates of the inner state (see `inner_mark`)
         self.memory: Remembered = ([], [])
         self._outdated = self._written = False
         #: Called when a user has set a State or a step count, or has reinitialised the Context without a seed.
@@ -215,7 +215,7 @@ class Synchronisation:
             return
         changes = [(new - old).sum(axis=0) for new, old in zip(after, before, strict=True)]
         atoms = np.arange(len(self.bodies.mass))[self.bodies.clustered]
-        atoms = atoms[changes[1][:, atoms].any(axis=0)]  # the loss of momenta along constraints is no change
+        atoms = atoms[changes[1][:, atoms].any(axis=0)]  # momenta lost along constraints are no change by the user
         changes[1][:, atoms] = (after.rounded.P - self.bodies.tangent(before.rounded).P)[:, atoms]
         sizes = (self.bodies.mass, self.bodies.inertia.T)
         small = all(map(_is_small, changes, (1.0, sizes[0], 1.0, sizes[1])))

@@ -35,7 +35,7 @@ class RemovedMotionWarning(UserWarning):
 
 
 class ContextUpdates:
-    """OpenMM's actions between steps in a Context; raises ValueError if a barostat would tear bodies.
+    """OpenMM's actions between steps in a Context; raises ValueError if a barostat would tear bodies apart.
 
     A CMMotionRemover acts on velocities alone, and therefore equally on the inner and the true state of a processed
     scheme. OpenMM applies barostats and thermostats of the System to the true state.
@@ -141,7 +141,7 @@ class ContextUpdates:
         if not self.pushes:
             if arrays.box(context.getState()) == box:
                 return state
-            sync.write_velocities(state)  # so that only positions differ from those of the state
+            sync.write_velocities(state)  # so that only positions differ from the state
         x, v = sync.held()
         sync.particles[:] = x  # a barostat moves massless particles too
         return sync.compared(state, x, v)

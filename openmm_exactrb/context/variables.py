@@ -18,12 +18,12 @@ from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.state import Force, Remembered, State
 
 _PREFIX = "exactrb_"
-# Per-DOF variables, on the first particle of each body: high parts, then low parts of the sums.
+# Per-DOF variables, on the first particle of each body: high parts, then low parts of the double-doubles.
 _VECTORS = tuple(f"{name}{part}" for part in ("", "_low") for name in "RPmqw")
 #: Prefixes of the state that the Context shows, and of that in the inner coordinates of a processed scheme.
 SHOWN, INNER = "", "inner_"
 # Whether the variables hold a state, and whether Python performs a step. Values from _WRITTEN to below _STEPPING mean
-# that they hold a state, and identify its format; see `written`.
+# that the variables hold a state, and identify its format; see `written`.
 _STORED = "stored"
 NOTHING, _WRITTEN, _STEPPING, _DEVICE = 0.0, 1.0, 2.0, 4.0
 #: The mark of the coordinates of the inner state (0 without one), and the numbers of forces and of differences of
@@ -152,7 +152,7 @@ class Numbers:
 
 
 def write(integrator: openmm.CustomIntegrator, bodies: RigidBodies, state: State, which: str = SHOWN) -> None:
-    """Write the sums of a state."""
+    """Write the double-doubles of a state."""
     R, P, q, m = state
     first, turning = bodies.first_particle, bodies.first_particle[: bodies.n_turning]
     full = np.zeros((2, 5, bodies.n_particles, 3))
@@ -174,7 +174,7 @@ def marked(integrator: openmm.CustomIntegrator) -> bool:
 
 
 def read(integrator: openmm.CustomIntegrator, bodies: RigidBodies, which: str = SHOWN) -> State | None:
-    """Return the sums of a state, or None if no state was written or the integrator has no variables for it."""
+    """Return the double-doubles of a state, or None if no state was written or the integrator lacks its variables."""
     if not marked(integrator) or not _has(integrator, which + _VECTORS[-1]):
         return None
     first, k = bodies.first_particle, bodies.n_turning
@@ -204,7 +204,7 @@ def read_forces(integrator: openmm.CustomIntegrator, bodies: RigidBodies) -> Rem
     memory: list[Force] = []
     n = int(get(integrator, REMEMBERED))
     for k in range(n + int(get(integrator, DIFFERENCES))):
-        if not _has(integrator, _last(k)[1]):  # another scheme wrote them, whose forces cannot be used
+        if not _has(integrator, _last(k)[1]):  # written by another scheme, whose forces cannot be used
             return [], []
         force, torque = (
             np.array(integrator.getPerDofVariableByName(_PREFIX + name), dtype=np.float64)[bodies.first_particle].T

@@ -3,8 +3,8 @@
 OpenMM draws the velocities of particles, and its constraint solver removes their components along the constraints. The
 momenta of rigid bodies are then canonical, because impulses along constraints do not change them. With redundant
 constraints, however, the solver does not converge, or leaves motions that bend a straight or flat body. The solver
-supports neither molecules that the box has split nor bodies named by hand. In addition, the centre of mass moves until
-a CMMotionRemover acts.
+supports neither molecules that the box has split nor bodies passed as `bodies`. In addition, the centre of mass moves
+until a CMMotionRemover acts.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _LEFT = 1e-3
 def draw_by_integrators(kind: type[Any]) -> None:
     """Let integrators of a class draw velocities, with their method of the same name, where OpenMM fails.
 
-    The method of all Contexts is replaced, because it may be called before the integrator knows its Context.
+    The method of all Contexts is replaced, because it may be called before the integrator has found its Context.
     """
     method = openmm.Context.setVelocitiesToTemperature
 

@@ -41,7 +41,7 @@ def find_bodies(
     ----------
     system : openmm.System
     positions : (n_particles, 3) array
-        Positions in nm. They distinguish a body from its mirror image, and define the shape if constraints do not.
+        Positions in nm, which distinguish a body from its mirror image, and define the shape if constraints do not.
     bodies : sequence of sequences of int, optional
         Particles of further bodies, whose shapes are those of the positions. Their virtual sites may be included or
         omitted.

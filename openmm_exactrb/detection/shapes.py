@@ -15,7 +15,8 @@ from openmm_exactrb.support.types import Array, Indices
 _FLAT = 1e-10
 # Particles within this distance (nm) of each other coincide.
 _POINT = 1e-6
-#: Largest deviation from the distances of a body, relative to the largest distance: files round distances.
+#: Largest deviation from the distances of a body, relative to the largest distance, because files contain rounded
+#: distances.
 RESIDUAL = 1e-5
 # Largest number of particles of a flat body with unconstrained distances, and least stress that keeps it flat.
 _LARGEST_FLAT, _RESISTING = 64, 1e-3
@@ -49,7 +50,7 @@ def on_constraints(particles: Indices, masses: Array, distances: Array, position
     if not np.isfinite(X).all():
         raise ValueError("positions are not finite: set finite ones before the first step")
     first, second = np.nonzero(np.triu(~np.isnan(distances), 1))
-    if not len(first):  # named by hand: the shape is that of the positions
+    if not len(first):  # without constraints, the shape is that of the positions
         return positions
     number, lengths = np.arange(len(first)), distances[first, second]
     gradients = np.zeros((len(X), len(first), len(masses), 3))
@@ -113,7 +114,7 @@ def _joined(kinds: list[Kind]) -> Kind:
 def held_rigid(distances: Array, x: Array) -> bool:
     """Return whether constraints restrict a cluster at positions x (k, 3) to the motions of a rigid body.
 
-    Unconstrained distances in (k, k) are nan; in a body named by hand, all distances are constrained.
+    Unconstrained distances in (k, k) are nan; in a body of `bodies=`, all distances are constrained.
     """
     i, j = np.nonzero(np.triu(~np.isnan(distances), 1))
     every = len(i) == len(x) * (len(x) - 1) // 2
@@ -135,10 +136,10 @@ def held_rigid(distances: Array, x: Array) -> bool:
 def _kept_flat(distances: Array, places: Array) -> bool:
     """Return whether constraints keep a flat or straight body with given coordinates (k, 1 or 2) in that shape.
 
-    Constraints do so if there is a stress on them that is in equilibrium at each particle and resists all motions out
-    of the plane (Connelly, Invent. Math. 66 (1982) 11). Such a stress is a positive definite matrix whose entries
-    vanish for unconstrained distances. The stress closest to that of a body with all distances constrained is tested.
-    The result is False for bodies of more than `_LARGEST_FLAT` particles.
+    This is the case if there is a stress on the constraints that is in equilibrium at each particle and resists all
+    motions out of the plane (Connelly, Invent. Math. 66 (1982) 11). Such a stress is a positive definite matrix whose
+    entries vanish for unconstrained distances. The stress closest to that of a body with all distances constrained is
+    tested. The result is False for bodies of more than `_LARGEST_FLAT` particles.
     """
     k = len(places)
     if k > _LARGEST_FLAT:

@@ -1,7 +1,8 @@
 """Positions of a System with whole molecules, which are joined along constraints and bonds, or to a known shape.
 
-The positions define the shape of bodies named by hand. If neither constraints nor bonds join the parts of such a body,
-its positions are used unchanged. A ValueError is raised if there is evidence that the box has split the body.
+The positions define the shapes of the bodies passed as `bodies`. If neither constraints nor bonds join the parts of
+such a body, its positions are used unchanged. A ValueError is raised if there is evidence that the box has split the
+body.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from openmm_exactrb.support import checks
 from openmm_exactrb.support.types import Array, Indices
 from openmm_exactrb.support.warn import warn
 
-# Two gaps differ if the ratio of the shorter to the longer is below this.
+# Two gaps differ if the ratio of the shorter to the longer is below this number.
 _SHORTER = 1.0 - 1e-6
 # A body counts as split if its parts fit together with a gap of at most this multiple of the longest gap within a part.
 _FITTING = 2.0
@@ -196,7 +197,7 @@ def _by_common_shape(X: Array, box: Array) -> tuple[Array, NDArray[np.bool_]]:
 
 def _nearest(X: Array, box: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Return bodies (n, k, 3) joined by nearest images, and a mask (n,) of those whose gaps become shorter."""
-    near, torn = X.copy(), np.ptp(X @ np.linalg.inv(box), axis=1).max(axis=1) > 0.5  # narrow bodies are not torn
+    near, torn = X.copy(), np.ptp(X @ np.linalg.inv(box), axis=1).max(axis=1) > 0.5  # narrow bodies are not split
     if torn.any():
         (given, _), (across, shifts) = image_gaps(X[torn], None), image_gaps(X[torn], box)
         near[torn] += shifts @ box

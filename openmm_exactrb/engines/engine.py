@@ -41,9 +41,9 @@ class Settings:
     splits : int
         Number of steps of the splitting per step.
     h : float
-        Size of a step in ps.
+        Step size in ps.
     groups : int
-        The active force groups, as bits.
+        The active force groups, as a bit mask.
     named : list of lists of int, or None
         The particles of bodies in addition to the bodies defined by constraints.
     check : bool

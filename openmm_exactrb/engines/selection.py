@@ -18,7 +18,7 @@ AUTO = "auto"
 class Selection:
     """The engine of an integrator.
 
-    With "auto", the Context determines the engine, unless the run continues from a checkpoint, whose engine is kept if
+    With "auto", the choice depends on the Context, unless the run continues from a checkpoint, whose engine is kept if
     possible. Before there is a Context, the integrator has the variables of the host engine. A ValueError is raised if
     the engine is unknown, or if a requested engine does not support a setting.
 

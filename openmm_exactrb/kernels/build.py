@@ -59,7 +59,7 @@ def _type(word: str) -> Any:
 
 
 def at_first_call(function: Function) -> Function:
-    """Compile a function at its first call; the only fast mathematics are reordered sums and fused products."""
+    """Compile a function at its first call; the only fast-math options are reordered sums and fused products."""
     fast: Function = _cached(njit(error_model="numpy", nogil=True, fastmath=_REORDERED)(function))
     return fast
 
@@ -81,7 +81,7 @@ class _Cache(FunctionCache):  # type: ignore[misc]
 
 def _cached(dispatcher: Any) -> Any:
     """Let numba cache the compiled code of a function on disk."""
-    dispatcher._cache = _Cache(dispatcher.py_func)  # noqa: SLF001  # numba's interface has no other key
+    dispatcher._cache = _Cache(dispatcher.py_func)  # noqa: SLF001  # numba has no public way to set the key
     return dispatcher
 
 

@@ -11,11 +11,11 @@ import numpy as np
 from openmm_exactrb.mathematics.quaternions import Numbers
 from openmm_exactrb.support.types import Array
 
-#: Beyond this argument sech(v)² would leave the range of float64; on the separatrix, the functions are constant there.
+#: Beyond this argument, sech(v)² would leave the range of float64; on the separatrix, the functions are constant there.
 SEPARATRIX_LIMIT = 345.0
-#: Below this phase sn v = v, cn v = dn v = 1 to the last bit, and the recurrence in cot(phase) would overflow.
+#: Below this phase, sn v = v, cn v = dn v = 1 to the last bit, and the recurrence in cot(phase) would overflow.
 TINY_PHASE = 1e-60
-#: Beyond this p three terms of the series of R_J in 1/p are exact to roundoff.
+#: For p above this value, three terms of the series of R_J in 1/p are exact to roundoff.
 LARGE_P = 1e11
 #: If x and y are below this bound and below p times this bound, their first-order terms in R_J are below roundoff.
 TINY_SQUARE = 1e-60
@@ -110,7 +110,7 @@ def carlson_rj(x: Array | float, y: Array, p: Array) -> Array:
     normal number, SciPy's result is wrong by up to 1e-3; the result returned here is 3/p (log(4/(sqrt(x) + sqrt(y))) -
     R_C(1, p)), which equals R_J(x', x', 1, p) for an x' between x and y.
     """
-    from scipy.special import elliprc, elliprf, elliprg, elliprj  # here, for a short import of the package
+    from scipy.special import elliprc, elliprf, elliprg, elliprj  # imported here, because it is slow to import
 
     x, y, p = np.broadcast_arrays(x, y, p)
     integral: Array = np.asarray(elliprj(x, y, 1.0, p), dtype=np.float64)

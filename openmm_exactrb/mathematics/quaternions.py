@@ -68,7 +68,7 @@ def norm_defect(q: Array) -> Array:
 def rotation_matrix(q: ArrayLike) -> Array:
     """Return the rotation matrices Q (..., 3, 3) of unit quaternions (..., 4), from body to space coordinates.
 
-    This is equation (17) of the paper.
+    This is equation (17) of Celledoni et al. (doi:10.1137/070704393).
     """
     q = np.moveaxis(np.asarray(q, dtype=np.float64), -1, 0)
     return np.ascontiguousarray(np.moveaxis(matrix(q), (0, 1), (-2, -1)))

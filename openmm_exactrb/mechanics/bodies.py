@@ -109,7 +109,7 @@ class RigidBodies:
 
     def touched(self, particles: Indices) -> NDArray[np.bool_]:
         """Return a mask (N,) of the bodies, and of all atoms of the clusters, that contain one of the particles."""
-        chosen = np.zeros(len(self) + 1, dtype=bool)  # the last entry is for no body
+        chosen = np.zeros(len(self) + 1, dtype=bool)  # the last entry is for particles of no body
         chosen[self.owner[particles]] = True
         for _, columns in self.clusters.columns():
             atoms = columns + self.n_turning
@@ -177,7 +177,7 @@ class RigidBodies:
     def kinetic_energies(self, state: BodyState, velocity: Array | None = None) -> tuple[float, float]:
         """Return translational and rotational kinetic energies (kJ/mol) of momenta projected onto the constraints.
 
-        If a velocity (3,) in nm/ps is given, the energies are those of the motion relative to it.
+        If a velocity (3,) in nm/ps is given, the energies are those of the motion relative to this velocity.
         """
         P = self.tangent(state).P
         if velocity is not None:

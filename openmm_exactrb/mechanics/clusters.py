@@ -96,7 +96,7 @@ class ClusterKind:
 
         Independence (N,) is the smallest squared norm, in the mass metric, of the part of a constraint's gradient that
         is orthogonal to the gradients of the preceding constraints in `graph`. It is 0 if the constraint follows from
-        them. The most dependent constraint (N,) is given by its index in `graph`.
+        the preceding ones. The most dependent constraint (N,) is given by its index in `graph`.
         """
         r = (x[:, self.graph.pairs[:, 0]] - x[:, self.graph.pairs[:, 1]]).transpose(2, 1, 0)
         r /= np.maximum(np.sqrt((r * r).sum(axis=0)), np.finfo(float).tiny)

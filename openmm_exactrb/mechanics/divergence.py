@@ -56,10 +56,10 @@ class StepSizeWarning(UserWarning):
 class DivergenceCheck:
     """Checks the states of a run for non-finite numbers and for a rise of the total energy.
 
-    `potential` is a function of a state that returns kJ/mol; it is called only if squared momenta have grown by the
-    factor `GROWN`. `box` is a function that returns the vectors (3, 3) of the periodic box in nm, or None. `conserves`
-    states whether energies are compared: forces must be known to conserve energy, and the user must not have disabled
-    the comparison.
+    `potential` is a function that returns the potential energy (kJ/mol) of a state. It is called only if squared
+    momenta have grown by the factor `GROWN`. `box` is a function that returns the vectors (3, 3) of the periodic box in
+    nm, or None. `conserves` states whether energies are compared: forces must be known to conserve energy, and the user
+    must not have disabled the comparison.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class DivergenceCheck:
         conserves: bool = True,
     ) -> None:
         self._bodies, self._potential, self._box, self._conserves = bodies, potential, box, conserves
-        self._fastest = float(np.min(LIGHT * bodies.mass, initial=np.inf)) ** 2  # no body is faster below this P²
+        self._fastest = float(np.min(LIGHT * bodies.mass, initial=np.inf)) ** 2  # a smaller P² means slower than light
         #: Mean kinetic energy of bodies within inner steps, in kJ/mol, above which a step has diverged.
         self.hottest = _HOTTEST if conserves else np.inf
         self._good = 0.0, 0.0  # squares of linear and angular momenta
@@ -142,7 +142,7 @@ class DivergenceCheck:
             self._good = max(P, good_P), max(m, good_m)
 
     def outside(self, state: State, after: State) -> None:
-        """Check the state before a thermostat acts; later energies are compared with that of the state after it."""
+        """Check the state before a thermostat acts; the energy of the state `after` becomes the reference."""
         if after is not state:
             self.leave(state)
             self._before = self._since = after
@@ -196,7 +196,7 @@ class Overheating:
 
     The translation of rigid bodies, their rotation, and all other particles are monitored separately, because a solute
     may be hotter than its water. `kT` (kJ/mol) is given by the temperature of the thermostat, and `relaxation` (ps) is
-    the time in which the thermostat removes heat.
+    the relaxation time of the thermostat.
     """
 
     def __init__(self, bodies: RigidBodies, kT: float, relaxation: float) -> None:

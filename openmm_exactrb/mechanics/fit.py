@@ -19,12 +19,13 @@ from openmm_exactrb.support.warn import warn
 REFUSED = 0.02
 #: Deviations up to this distance, in nm, are corrected without a warning.
 RIGIDITY = 1e-4
-# A body whose positions relative to its centre changed by less than this, in nm, was translated but not rotated.
+# A body whose positions relative to its centre changed by less than this distance, in nm, was translated but not
+# rotated.
 _SHIFTED = 1e-9
-# Number of Newton steps onto the constraints. As each step squares the relative error, they suffice from a fifth of a
-# bond length to below roundoff.
+# Number of Newton steps onto the constraints. Each step squares the relative error, so that this number reduces an
+# error of a fifth of a bond length to below roundoff.
 _NEWTON = 8
-# If the error of a length after these steps exceeds this, in nm, the constraints cannot be satisfied.
+# If the error of a length after these steps exceeds this distance, in nm, the constraints cannot be satisfied.
 _REACHED = 1e-9
 
 

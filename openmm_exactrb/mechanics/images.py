@@ -75,7 +75,7 @@ def lattice(reach: int) -> Array:
 
 
 def joined(x: Array, links: Links, box: Array, found: Decided | None = None) -> Array:
-    """Return positions (n_particles, 3) with linked particles in one image of a box; the same array if none changes.
+    """Return positions (n_particles, 3) with linked particles in one image of a box, or x itself if none changes.
 
     The first particle of each group is not moved. A ValueError is raised if two images fit equally well.
     """
@@ -133,7 +133,7 @@ class Shapes:
         self._bodies = bodies
 
     def whole(self, x: Array, box: Array) -> Array:
-        """Return positions (n_particles, 3) with each body and cluster in one image; the same array if none changes."""
+        """Return positions (n_particles, 3) with each body and cluster in one image, or x itself if none changes."""
         long = self._short.lengths.max(initial=0.0) >= half_width(box) - _NEAR
         return joined(x, self._braced if long else self._short, box)
 

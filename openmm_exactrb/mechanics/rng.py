@@ -50,7 +50,7 @@ PURPOSES = 16
 
 
 class Instant(NamedTuple):
-    """The identity of a substep in a run: the seed, the number of steps before it, and the index of the substep."""
+    """The identity of a substep in a run: the seed, the number of completed steps, and the index of the substep."""
 
     seed: int
     step: int

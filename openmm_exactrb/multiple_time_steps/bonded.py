@@ -24,7 +24,7 @@ BONDED_FORCES = (
     openmm.CustomAngleForce,
     openmm.CustomTorsionForce,
 )
-#: Coulomb's constant in kJ nm/mol/e², from the same constants of nature as in OpenMM.
+#: Coulomb's constant in kJ nm/mol/e², from the physical constants that OpenMM uses.
 COULOMB = (1.602176634e-19) ** 2 * 6.02214076e23 * 1e6 / (4.0 * math.pi * 8.8541878128e-12)
 #: The formula of exceptions of a NonbondedForce.
 PAIR = f"{COULOMB!r}*charges/r + 4*epsilon*((sigma/r)^12 - (sigma/r)^6)"

@@ -1,4 +1,4 @@
-"""The usual bonded forces of an excerpt, computed by a kernel: for few terms, calls of OpenMM would take longer."""
+"""The usual bonded forces of an excerpt, computed by a kernel, which for few terms is faster than calls of OpenMM."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class BondedForces(ContextForces):
         return force.copy(), torque.copy()
 
     def moved(self, evaluations: int, value: Force | None) -> None:
-        """Record that a kernel moved the bodies, its number of force evaluations and forces at the new positions."""
+        """Record a move by a kernel, its number of force evaluations, and the forces at the new positions."""
         self._add_evaluations(evaluations)
         self.positions.version += 1
         if value is not None:
@@ -146,7 +146,7 @@ def _of_pairs(pairs: Bonded) -> list[Array]:
 
 def _of_impropers(torsions: Bonded) -> list[Array]:
     half_circle = _number(torsions.force, _HARMONIC)
-    assert half_circle is not None  # `_known`
+    assert half_circle is not None  # ensured by `_known`
     own = {torsions.force.getPerTorsionParameterName(i): torsions.numbers[:, i] for i in range(2)}
     return [own["theta0"], own["k"], np.full(len(torsions.whole), 2.0 * half_circle)]
 

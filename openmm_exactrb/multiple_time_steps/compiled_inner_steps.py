@@ -37,7 +37,7 @@ class CompiledInnerSteps:
         self._advance = kernels.load("inner_steps").advance
 
     def __call__(self, state: State, tau: float) -> State:
-        """Return the state after a drift over tau (ps); raise IntegrationError if it diverges."""
+        """Return the state after a drift over tau (ps); raise IntegrationError if the drift diverges."""
         forces, n = self._forces, self._repetitions(tau)
         if n not in self._sequences:
             self._sequences[n] = _as_arrays(repeated(self._sequence, n))

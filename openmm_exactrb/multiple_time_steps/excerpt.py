@@ -1,6 +1,6 @@
 """The bonded forces and the exceptions of a System, restricted to the particles on which they act.
 
-These particles are few compared with those of a solvent. The System of the user is not changed.
+These particles are few compared with those of a solvent. The user's System is not changed.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ from openmm_exactrb.support.warn import warn
 # less.
 _SECOND_ORDER, _HIGHER_ORDER, _WITH_HEAT_EXCHANGE = ("S2_2", 0.05), ("SRKN4_6b", 0.0125), ("S2_2", 0.08)
 # The longest time between force evaluations, as a fraction of the fastest period, at which every scheme shows its order
-# and a small error without inner steps. It is 1.5 fs if bonds to hydrogen are constrained, otherwise 0.6 fs.
+# and a small error without inner steps. This time is 1.5 fs if bonds to hydrogen are constrained, otherwise 0.6 fs.
 _LONGEST_PLAIN = 1.0 / 16.0
 
 _NO_PERIOD = (
@@ -133,7 +133,7 @@ class FastForces:
 
     @property
     def groups(self) -> int:
-        """The named force groups, as bits."""
+        """The named force groups, as a bit mask."""
         return sum(1 << group for group in self.named)
 
     def inner(self, outer: Scheme) -> Scheme:
@@ -141,7 +141,7 @@ class FastForces:
         return self.settings.scheme or look_up(_usual(outer)[0])
 
     def repetitions(self, outer: Scheme, h: float) -> Callable[[float], int]:
-        """Return a function of the time of a drift (ps): the number of inner steps in it, for outer steps of h (ps)."""
+        """Return the function from the time of a drift (ps) to its number of inner steps, for the outer step h (ps)."""
         if self.settings.steps:
             rate = self.settings.steps / abs(h) if h else 0.0
             return cache(lambda tau: max(1, round(rate * abs(tau))))
@@ -149,7 +149,7 @@ class FastForces:
         return cache(lambda tau: max(1, math.ceil(rate * abs(tau))))
 
     def acts(self, outer: Scheme, h: float) -> bool:
-        """Return whether steps of h (ps) of an outer scheme contain inner steps.
+        """Return whether an outer scheme with the step size h (ps) has inner steps.
 
         Inner steps are used if they were requested, or if the outer scheme consists of substeps of this package and its
         force evaluations are too far apart for bonded forces. A ValueError is raised if a kick by a single force group
@@ -207,7 +207,7 @@ def _bonded(system: openmm.System, bodies: RigidBodies, settings: MultipleTimeSt
         return FastForces(settings, frequency, excerpt) if frequency and others(system) else None
     if excerpt is None:
         raise ValueError(
-            "the System has no bonded forces that change its motion, so that inner steps have no use: "
+            "the System has no bonded forces that change its motion, so that inner steps are of no use: "
             "omit fast=, inner= and innerSteps="
         )
     if not others(system):

@@ -151,7 +151,7 @@ class ExcerptPositions(Positions):
     """
 
     def __init__(self, excerpt: Excerpt, sync: Synchronisation) -> None:
-        platform = openmm.Platform.getPlatform("Reference")  # few forces: threads and launches would cost more
+        platform = openmm.Platform.getPlatform("Reference")  # fastest for few forces
         self._own = openmm.Context(excerpt.system, openmm.VerletIntegrator(0.001), platform)
         self.excerpt, self._whole, self._seen, self._count = excerpt, sync.positions, -1, 0
         super().__init__(self._own, excerpt.part.bodies, sync.particles[excerpt.particles])

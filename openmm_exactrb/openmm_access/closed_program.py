@@ -1,4 +1,4 @@
-"""Protection of the program of an integrator, to which a user cannot add computations."""
+"""Protection of an integrator's program against computations that a user tries to add."""
 
 from __future__ import annotations
 

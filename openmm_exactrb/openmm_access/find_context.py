@@ -11,7 +11,7 @@ import openmm
 def find_context(integrator: openmm.Integrator) -> openmm.Context:
     """Find the Context that was created with an integrator; raise ValueError if it does not exist yet."""
     context = _referring(integrator)
-    if context is None and gc.get_freeze_count():  # the collector does not see references in frozen objects
+    if context is None and gc.get_freeze_count():  # the garbage collector ignores references in frozen objects
         gc.unfreeze()
         context = _referring(integrator)
         gc.freeze()

@@ -27,8 +27,8 @@ _log = logging.getLogger("openmm_exactrb")
 Edges: TypeAlias = ewald.Edges
 #: Cutoff and start of the switch in nm, and the strength of the reaction field in 1/nm³.
 Truncation: TypeAlias = tuple[float, float, float]
-#: Inverse width of the Gaussians (1/nm); the largest wave number (1/nm), or the steps of a mesh (nm) and the order of
-#: its splines; and the relative permittivity around all images.
+#: Inverse width of the Gaussians (1/nm); the largest wave number (1/nm), or the spacings of a mesh (nm) and the order
+#: of its splines; and the relative permittivity around all images.
 Images: TypeAlias = tuple[float, float, float] | tuple[float, Edges, int, float]
 
 
@@ -86,8 +86,8 @@ class ReactionField(_Periodic):
 
     The reaction field adds the energy -2 (eps - 1)/(2 eps + 1) mu_i.mu_j/a³ to that of each pair (Barker and Watts,
     Mol. Phys. 26, 789 (1973)). With the switching function S, a³ = 3 integral S r² dr, so that a sphere of radius a has
-    the volume of the switched cutoff sphere. A uniform polarisation then has the reaction field of `dielectric`, as the
-    fluctuation formula of `dielectric_constant` requires.
+    the volume of the switched cutoff sphere. A uniform polarisation then produces the reaction field of `dielectric`,
+    as the fluctuation formula of `dielectric_constant` requires.
 
     Parameters
     ----------
@@ -239,12 +239,12 @@ def _parameters(boundary: Ewald, n: int, edges: Edges) -> ewald.EwaldParameters:
 
 Boundary: TypeAlias = Open | ReactionField | Ewald
 
-#: The default.
+#: The default boundary.
 OPEN = Open()
 
 
 def checked(boundary: Boundary) -> Boundary:
-    """Return a boundary; raise ValueError for anything else."""
+    """Return the argument if it is a boundary; raise ValueError for anything else."""
     if not isinstance(boundary, Open | ReactionField | Ewald):
         raise ValueError(f"boundary must be one of Open(), ReactionField(...) and Ewald(...), not {boundary!r}")
     return boundary

@@ -37,8 +37,8 @@ def soft_dipole_force(
 ) -> openmm.CustomHbondForce | openmm.CustomCompoundBondForce | openmm.PythonForce:
     """Return the force of soft spheres with point dipoles.
 
-    The energy of a pair is 4 epsilon (sigma/r)^12 + mu_i.mu_j/r³ - 3 (mu_i.r)(mu_j.r)/r^5, as in section 3.4 of the
-    paper. With an attraction it is that of the Stockmayer fluid.
+    The energy of a pair is 4 epsilon (sigma/r)^12 + mu_i.mu_j/r³ - 3 (mu_i.r)(mu_j.r)/r^5, as in section 3.4 of
+    Celledoni et al. (doi:10.1137/070704393). With an attraction of 1, the energy is that of the Stockmayer fluid.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def soft_dipole_force(
     not checked again if the box shrinks. With "bonds" and "openmm", the integrators of this package raise a ValueError
     if there is a barostat.
 
-    XmlSerializer writes the compiled kernel's settings with pickle, as it does for every PythonForce.
+    XmlSerializer writes the compiled kernel's settings with pickle, as for every PythonForce.
     """
     arrows = checked_pairs(arrows)
     edges = None if box is None else edges_of(box)
@@ -200,7 +200,7 @@ def context_parameters(
 
 
 class SoftDipoles:
-    """The function that the PythonForce of soft dipoles calls; it can be pickled.
+    """The picklable function that the PythonForce of soft dipoles calls.
 
     Parameters
     ----------
@@ -208,8 +208,8 @@ class SoftDipoles:
         Distances in nm and the strength of the reaction field in 1/nm³. With a truncation, the boundaries are periodic.
     ewald : (alpha, k_max, dielectric) or (alpha, steps, order, dielectric), optional
         An Ewald sum instead of the reaction field: inverse width of the Gaussians (1/nm); the largest wave number
-        (1/nm), or the steps of a mesh along the edges (nm) and the order of its splines; permittivity around all
-        images.
+        (1/nm), or the spacings of a mesh along the edges (nm) and the order of its splines; and the relative
+        permittivity around all images.
     wca : bool
         Whether the energy of the spheres is truncated at its minimum.
     spheres : SphereCutoff, optional

@@ -21,7 +21,8 @@ MOST_POINTS = 512
 # cells.
 _ROW, _CELL, _WAVE, _POINT, _SPLINE, _MESH, _WHOLE = 9.3, 12.0, 1.0, 15.0, 0.85, 2e5, 0.4
 
-#: Smallest tolerance for which a mesh is chosen. Below it, the a priori error of a mesh is dominated by roundoff.
+#: Smallest tolerance for which a mesh is chosen. Below this tolerance, the a priori error of a mesh is dominated by
+#: roundoff.
 LEAST_TOLERANCE = 2e-7
 
 #: Additional numbers per spline beyond its order, which fill vector registers.

@@ -28,7 +28,7 @@ _NODES = np.polynomial.legendre.leggauss(24)
 
 
 def of_pairs(alpha: float, cutoff: float, switch: float, distance: float) -> float:
-    """Return the error from screened dipoles beyond the start of the switch, at a mean distance of dipoles."""
+    """Return the error from screened dipoles beyond the start of the switch, for a mean distance of dipoles (nm)."""
     x, weights = _NODES
     bounds = np.array([[switch, cutoff], [cutoff, cutoff + 4.0 / alpha]])
     half = 0.5 * (bounds[:, 1:] - bounds[:, :1])

@@ -15,7 +15,7 @@ from openmm_exactrb.support.types import Array
 
 
 class GayBerne:
-    """The function that the PythonForce of ellipsoids calls; it can be pickled.
+    """The picklable function that the PythonForce of ellipsoids calls.
 
     The potential is 4 epsilon e1 e2² (R^-12 - R^-6) with R = (r - s + shift)/shift. For the axes u and v, and the unit
     vector e between the centres, s = sigma/sqrt(H(chi)), e1 = 1/sqrt(1 - chi² (u.v)²), e2 = H(chi'), and H(x) = 1 - x

@@ -8,9 +8,9 @@ from openmm import unit
 
 from openmm_exactrb.support import checks
 
-#: Coulomb's constant in kJ/mol nm/e², CODATA 2018, with the value used in OpenMM.
+#: Coulomb's constant in kJ/mol nm/e², from CODATA 2018, equal to the value in OpenMM.
 COULOMB = 138.93545764438198
-# 1 D = 1e-21/c C m, divided by the elementary charge.
+# One debye, 1e-21/c C m, in e nm.
 _DEBYE_IN_E_NM = 1e-21 / 299792458.0 / 1.602176634e-19 * 1e9
 
 

@@ -1,4 +1,4 @@
-"""Dipoles as rods of two charges, for an Ewald sum that stays on a device."""
+"""Dipoles as rods of two charges, for an Ewald sum that OpenMM computes on the device."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from openmm_exactrb.potentials.formula import add_hbonds, soft_rod_energy
 from openmm_exactrb.potentials.moments import COULOMB
 from openmm_exactrb.support import checks
 
-#: Smallest tolerance. Below it, OpenMM's mesh of order 5 needs more than ten points per dipole along an edge.
+#: Smallest tolerance. Below this tolerance, OpenMM's mesh of order 5 needs more than ten points per dipole along an
+#: edge.
 LEAST_TOLERANCE = 1e-4
 
 
@@ -64,7 +65,7 @@ def dipole_rod_forces(
     -------
     openmm.NonbondedForce, openmm.CustomHbondForce
         The second force has the Context parameters `soft_repulsion` and `soft_attraction` of `soft_dipole_force`. The
-        dipole moment is fixed.
+        dipole moment cannot be changed in a Context.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """The cutoff of the spheres of dipole fluids, which is part of the model, and its long-range correction.
 
 The switch of `openmm_exactrb.potentials.switching` takes the energy of a pair smoothly to zero. The correction adds the
-mean of the removed energy, for spheres that are uniformly distributed beyond the start of the switch:
+mean of the removed energy for N spheres with the pair energy u, uniformly distributed beyond the start of the switch:
 
     U = 2 pi N²/V integral (u - S (u - u_c)) r² dr,    P = U/V,
 

@@ -1,4 +1,4 @@
-"""The momentum of a free rigid body in Jacobi's elliptic functions, shared by all formulations of the paper.
+"""The momentum of a free rigid body in Jacobi's elliptic functions, shared by all formulations of Celledoni et al.
 
 Let I1 < I2 < I3 and x = m/norm(m). In case (a), 2T I2 > 1, the momentum circles axis j = 1 and l is 3; in case (b), 2T
 I2 < 1, it circles axis j = 3 and l is 1. A half turn about a principal axis makes x1, x3 >= 0. Both signs in equations
@@ -109,7 +109,7 @@ def flow_of(inertia: Array, attitude: Attitude) -> Flow:
 
 
 def is_regular(inertia: Array, m: Array) -> NDArray[np.bool_]:
-    """Return a mask (N,) of the bodies that the paper's solution covers, for ascending moments and momenta m (3, N).
+    """Return a mask (N,) of the bodies that Jacobi's solution covers, for ascending moments and momenta m (3, N).
 
     The three moments of such a body differ by more than a relative distance of `NEAREST`. Its momentum is finite and
     nonzero, and is more than this distance away from the principal axes and from the separatrix.
@@ -139,8 +139,8 @@ def carlson(orbit: Orbit, nc: Array) -> Array:
 def gauss(points: int) -> ThirdKind:
     """Return a `ThirdKind` that integrates by Gauss's rule in the amplitude, with a number of points: equation (39).
 
-    The error is of order 2 points + 1 in the step. It is large if the amplitude changes by more than about one during
-    the step; near the separatrix, smaller changes suffice.
+    The error is of order 2 points + 1 in the step. This error is large if the amplitude changes by more than about one
+    radian during the step; near the separatrix, smaller changes suffice.
     """
     nodes, weights = np.polynomial.legendre.leggauss(points)
     nodes, weights = 0.5 * (1.0 + nodes[:, None]), 0.5 * weights
@@ -169,7 +169,7 @@ def _step(inertia: Array, m: Array, t: Array, attitude: Attitude) -> tuple[Array
 
 def solve(inertia: Array, x: Array, time: Array) -> Orbit:
     """Solve Euler's equations (4) to (8) for unit momenta x (3, N) with x1, x3 >= 0 and ascending moments."""
-    from scipy.special import elliprf  # here, for a short import of the package
+    from scipy.special import elliprf  # imported here, because it is slow to import
 
     I1, I2, I3 = inertia
     x1, x2, x3 = x

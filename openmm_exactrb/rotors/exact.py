@@ -19,7 +19,7 @@ def compiled(inertia: Array) -> Flow:
 
 
 def in_numpy(inertia: Array) -> Flow:
-    """Return the exact flow in NumPy for moments (3, 1) or (3, N); it also accepts double-doubles (2, ., N)."""
+    """Return the exact flow in NumPy for moments (3, 1) or (3, N); the flow also accepts double-doubles (2, ., N)."""
     return _in_any_order(inertia, plain.advance)
 
 

@@ -11,7 +11,7 @@ from openmm_exactrb.support import checks
 from openmm_exactrb.support.types import Array
 
 #: flow(q, m, t) -> (q, m), component-first: q (4, N) scalar first, m (3, N) in the body frame, t scalar or (N,).
-#: Some also take double-doubles, (2, 4, N) and (2, 3, N).
+#: Some flows also take double-doubles, (2, 4, N) and (2, 3, N).
 Flow = Callable[[Array, Array, Array | float], tuple[Array, Array]]
 _FLOAT = np.dtype(np.float64)
 

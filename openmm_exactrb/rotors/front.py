@@ -15,14 +15,16 @@ def free_rotor(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Advance free rigid bodies by the time t.
 
-    The equations of motion are mdot = m x I^-1 m and qdot = q (0, I^-1 m)/2: (1) and (19) in the paper.
+    The equations of motion are mdot = m x I^-1 m and qdot = q (0, I^-1 m)/2, equations (1) and (19) of Celledoni et al.
+    (doi:10.1137/070704393).
 
     Parameters
     ----------
     inertia : (3,) or (N, 3) array_like
         Principal moments of inertia, in any order.
     q0 : (4,) or (N, 4) array_like
-        Orientation quaternions, scalar first, which map body coordinates to space coordinates. They are normalised.
+        Orientation quaternions, scalar first, which map body coordinates to space coordinates. The function normalises
+        them.
     m0 : (3,) or (N, 3) array_like
         Angular momenta in the body frame; zero is allowed.
     t : float or (N,) array_like

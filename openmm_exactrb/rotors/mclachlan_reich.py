@@ -14,7 +14,7 @@ from openmm_exactrb.mathematics.quaternions import renormalise
 from openmm_exactrb.rotors.flow import Flow
 from openmm_exactrb.support.types import Array
 
-# Axis and part of the time step.
+# Axis of each rotation, and its fraction of the time step.
 _SPLITTING = ((0, 0.5), (1, 0.5), (2, 1.0), (1, 0.5), (0, 0.5))
 
 

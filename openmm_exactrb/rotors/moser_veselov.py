@@ -1,8 +1,8 @@
 """The preprocessed discrete Moser-Veselov algorithm, of orders 6, 8 and 10.
 
-The discrete algorithm reproduces the exact motion of a free body with other moments of inertia and another time. It is
-therefore given modified moments, 1/I~_i = s/I_i + d, with series s = 1 + ... and d = ... in the step. The norm of the
-momentum, the spatial momentum and the kinetic energy are conserved to roundoff.
+The discrete algorithm reproduces the exact motion of a free body with other moments of inertia and another time. The
+algorithm therefore receives modified moments, 1/I~_i = s/I_i + d, with series s = 1 + ... and d = ... in the step. The
+norm of the momentum, the spatial momentum and the kinetic energy are conserved to roundoff.
 
 Domain: any moments and momenta, and steps that rotate the body by less than a quarter turn, h norm(I^-1 m) < pi/2. The
 equations of a longer step have only a spurious root, far from the solution. The step is implicit; the fixed-point
@@ -29,7 +29,7 @@ from openmm_exactrb.support.warn import warn
 
 #: Steps of the fixed point iteration after which a body counts as not converged.
 MOST_ITERATIONS = 200
-# The iteration ends when its last change is below this, relative to the momentum.
+# The iteration ends when its last change is below this fraction of the momentum.
 _CONVERGED = 1e-15
 _QUARTER_TURN = 0.5 * np.pi
 

@@ -1,9 +1,9 @@
 """The free rotor by quaternions: q = p(0)^-1 y p(t), where p turns the momentum to axis 3, and y turns about axis 3.
 
-The smallest rotation that does so is p = (1 + x3, x2, -x1, 0)/sqrt(2 (1 + x3)), where x is the unit vector of the
-momentum; this is the half-angle form of equations (33) to (37) of the paper. Each choice of p in the paper differs from
-the smallest rotation by a rotation through an angle theta about axis 3. Such rotations commute with y, so that theta(t)
-- theta(0) is added to the angle psi of y.
+The smallest rotation of the momentum to axis 3 is p = (1 + x3, x2, -x1, 0)/sqrt(2 (1 + x3)), where x is the unit vector
+of the momentum; this is the half-angle form of equations (33) to (37) of Celledoni et al. Each of their choices of p
+differs from the smallest rotation by a rotation through an angle theta about axis 3. Such rotations commute with y, so
+that the angle psi of y increases by theta(t) - theta(0).
 
 Domain: the three moments differ, and the momentum is nonzero and neither on a principal axis nor on the separatrix.
 Bodies outside of this domain use the `exact` flow.
@@ -26,7 +26,7 @@ from openmm_exactrb.support.types import Array
 
 
 def kosenko(inertia: Array, third_kind: ThirdKind = carlson) -> Flow:
-    """Return the flow with choice (a) of the paper, theta = 0: I. I. Kosenko (1998), equation (38).
+    """Return the flow with choice (a) of Celledoni et al., theta = 0: I. I. Kosenko (1998), equation (38).
 
     The integrand (2T + omega3)/(1 + x3) equals (2T + omega3)(1 - x3)/(1 - x3²). Its part even in x3 gives the integral
     of the third kind of `_precession`, and its odd part gives an inverse tangent. The parameters are those of
@@ -42,7 +42,7 @@ def kosenko(inertia: Array, third_kind: ThirdKind = carlson) -> Flow:
 
 
 def moving_frame(inertia: Array) -> Flow:
-    """Return the flow with choice (b) of the paper, the frame (mdot, m x mdot, m) of the rotation matrices."""
+    """Return the flow with choice (b) of Celledoni et al., the frame (mdot, m x mdot, m) of the rotation matrices."""
 
     def theta(inertia: Array, x: Array) -> Array:
         v, w, _ = rotation.frame(inertia, x)
@@ -56,7 +56,7 @@ def moving_frame(inertia: Array) -> Flow:
 
 
 def van_zon_schofield(inertia: Array) -> Flow:
-    """Return the flow with choice (c) of the paper, the frame (m x e3, m x (m x e3), m).
+    """Return the flow with choice (c) of Celledoni et al., the frame (m x e3, m x (m x e3), m).
 
     R. van Zon and J. Schofield, J. Comput. Phys. 225, 145 (2007), doi:10.1016/j.jcp.2006.11.019.
     """

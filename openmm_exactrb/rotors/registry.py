@@ -23,7 +23,7 @@ from openmm_exactrb.support.types import Array
 
 #: Between these bounds, a moment and its reciprocal are normal floating-point numbers.
 SMALLEST_MOMENT, LARGEST_MOMENT = 1e-307, 1e307
-#: The largest ratio of the moments of a body: beyond it, rounding loses the smallest moment.
+#: The largest ratio of the moments of a body; with a larger ratio, the smallest moment is lost to rounding.
 WIDEST = 1e15
 
 
@@ -35,7 +35,7 @@ class Rotor:
     ----------
     name : str
     order : int or None
-        Order in the step, or None if the method is exact.
+        Order in the step size, or None if the method is exact.
     factory : callable
         factory(inertia) -> flow, with component-first inertia (3, 1) or (3, N).
     reference : str
@@ -43,7 +43,7 @@ class Rotor:
     keeps_energy : bool
         Whether the kinetic energy is conserved to roundoff; if not, it is conserved to the order of the flow.
     largest_angle : float
-        Largest h norm(m)/min(I) for which the flow works for every body; beyond it, the flow may fail.
+        Largest h norm(m)/min(I), with the step size h, at which the flow works for every body.
     sums : bool
         Whether the flow also accepts the double-doubles of `openmm_exactrb.mathematics.compensated`.
     """
@@ -113,7 +113,8 @@ def rotor(method: str | Rotor, inertia: ArrayLike) -> Flow:
 
     A ValueError is raised if the rotor is unknown, or if moments have another shape, are not real, positive and finite,
     are below ``SMALLEST_MOMENT`` or above ``LARGEST_MOMENT``, or have a ratio above ``WIDEST``. Moments that violate I1
-    + I2 >= I3, which holds for every mass distribution, are accepted, because the equations do not require it.
+    + I2 >= I3, which holds for every mass distribution, are accepted, because the equations do not require this
+    inequality.
     """
     entry, columns = look_up(method), _columns(inertia)
     return fitting(columns, entry.factory(columns), entry.sums)

@@ -1,4 +1,4 @@
-"""The checkpoint file: a state and the lengths of all output files, written completely or not at all."""
+"""The checkpoint file, which is written atomically: a state and the lengths of all output files."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _MAGIC = b"openmm-exactrb checkpoint"
 class Checkpoint(NamedTuple):
     """The content of a checkpoint file."""
 
-    #: Step of the checkpoint, and first step of the run.
+    #: Step number of the checkpoint, and of the start of the run.
     step: int
     first: int
     #: Seconds that the run took until the checkpoint.

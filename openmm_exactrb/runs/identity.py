@@ -13,7 +13,7 @@ from openmm_exactrb.support.stable_text import digest, stable_text
 from openmm_exactrb.support.version import version
 from openmm_exactrb.thermostats.momenta import CanonicalMomenta
 
-_LONGEST = 100  # characters of a value in a message
+_LONGEST = 100  # largest number of characters of a value in a message
 
 
 def identity_of(simulation: Any) -> dict[str, str]:
@@ -67,7 +67,7 @@ def _settings(integrator: ExactRigidBodyIntegrator) -> dict[str, str]:
 
 
 def _settings_of_openmm(integrator: openmm.Integrator) -> dict[str, str]:
-    """Return the settings of an OpenMM integrator, without the numbers that its steps change."""
+    """Return the settings of an OpenMM integrator, except those that its steps change."""
     tree = ElementTree.fromstring(openmm.XmlSerializer.serialize(integrator))
     tree.attrib.pop("stepSize", None)
     computed = {computation.get("computationVariable") for computation in tree.iter("Computation")}

@@ -16,7 +16,7 @@ from openmm_exactrb.runs.identity import setting_text
 from openmm_exactrb.runs.trajectories import begin_with_the_start, check_lost_frames
 from openmm_exactrb.support.files import sync, written_whole
 
-#: Name of the file with the topology and the start, which is written once.
+#: Name of the file with the topology and the initial positions, which is written once.
 TOPOLOGY = "topology.pdb"
 
 # Bytes at the beginning of a file that may change while it grows: a DCD file stores its number of frames there.
@@ -24,12 +24,12 @@ _HEAD = 128
 
 
 class Outputs:
-    """The files in a folder, and their reporters."""
+    """The output files in the folder of a run, and their reporters."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._factories: dict[str, tuple[Callable[..., Any], int]] = {}
-        self._reporters: dict[str, Any] = {}  # while they are open
+        self._reporters: dict[str, Any] = {}  # by file name, while the files are open
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -57,7 +57,7 @@ class Outputs:
         }
 
     def open(self, simulation: Any, files: Mapping[str, tuple[int, str]], first: int) -> None:
-        """Open the files, truncated to their lengths at a checkpoint; report the start to new files."""
+        """Open the files, truncated to their lengths at a checkpoint; write the start to new files."""
         requests = {}
         for name, (factory, interval) in self._factories.items():
             length, head = files.get(name, (0, ""))
@@ -79,7 +79,7 @@ class Outputs:
         simulation.reporters.extend(self._reporters.values())
 
     def sync(self) -> dict[str, tuple[int, str]]:
-        """Flush the files to the disk; return their lengths and their first bytes, in hexadecimal."""
+        """Flush the files to disk; return their lengths and their first bytes, in hexadecimal."""
         for name, reporter in self._reporters.items():
             for file in _files_of(reporter):
                 file.flush()
@@ -93,7 +93,7 @@ class Outputs:
             if reporter in simulation.reporters:
                 simulation.reporters.remove(reporter)
             for file in _files_of(reporter):
-                with contextlib.suppress(OSError):  # as on a full disk
+                with contextlib.suppress(OSError):  # for example on a full disk
                     file.close()
         self._reporters.clear()
 
@@ -119,7 +119,7 @@ def _described(factory: Callable[..., Any]) -> str:
 
 
 def _state(simulation: Any, request: Any) -> Any:
-    """Return a State with all data; positions are wrapped if the request (dict or tuple) of a reporter asks for it."""
+    """Return a State with all data; positions are wrapped if the request (dict or tuple) of a reporter requires it."""
     wrapped = request.get("periodic") if isinstance(request, dict) else (*request, None)[5]
     if wrapped is None:
         wrapped = simulation.system.usesPeriodicBoundaryConditions()

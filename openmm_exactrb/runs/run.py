@@ -28,7 +28,8 @@ from openmm_exactrb.support.checks import not_negative, whole
 
 _OPTIONS = ("out", "overwrite", "resume", "checkpoint")
 _RESUME = "resume the run (resume=True or --resume)"
-# Steps between two checks of signals and the clock, as many as Simulation.step performs in one call of the integrator.
+# Number of steps between checks of signals and the clock, equal to the number per call of the integrator in
+# Simulation.step.
 _CHUNK = 10
 
 
@@ -59,7 +60,7 @@ class Run:
     resuming : bool
         Whether there is a checkpoint to continue from.
     wall : float
-        Seconds that the run has taken so far, without the time lost by interruptions.
+        Wall time of the run so far in s, excluding the time lost to interruptions.
 
     Raises
     ------
@@ -155,7 +156,7 @@ class Run:
         self._outputs.add(reporter, name, whole(interval, "interval", of="steps"))
 
     def advance(self, simulation: Any, until: int, progress: Callable[[int], object] | None = None) -> None:
-        """Advance a Simulation to a step, from its start or from the checkpoint.
+        """Advance a Simulation to step `until`, from its start or from the checkpoint.
 
         On SIGINT (Ctrl-C), SIGTERM and SIGHUP the run finishes the steps in progress, writes a checkpoint and raises
         SystemExit with the status 128 + the number of the signal. A second signal ends the process immediately. A run
@@ -165,7 +166,7 @@ class Run:
         ----------
         simulation : openmm.app.Simulation
             A Simulation at its start. When a run is resumed, the state of the Simulation is ignored, except for its
-            positions. These define the shape of bodies named by hand, and must be those of the first start.
+            positions. The positions define the shapes of the bodies in `bodies`, and must be those of the first start.
         until : int
             Number of the last step.
         progress : callable, optional
@@ -301,7 +302,7 @@ class Run:
                 due = time.monotonic() + self._every
 
     def _save(self, simulation: Any) -> None:
-        """Flush all files to the disk, then write a checkpoint with their lengths."""
+        """Flush all files to disk, then write a checkpoint with their lengths."""
         integrator = simulation.integrator
         own = isinstance(integrator, ExactRigidBodyIntegrator)
         present = Checkpoint(
@@ -328,7 +329,7 @@ class Run:
 def _load(simulation: Any, last: Checkpoint) -> None:
     integrator = simulation.integrator
     if isinstance(integrator, ExactRigidBodyIntegrator):
-        integrator.degreesOfFreedom()  # on a device this creates the variables in the checkpoint
+        integrator.degreesOfFreedom()  # on a device, this call creates the variables that the checkpoint contains
     simulation.context.loadCheckpoint(last.state)
     for name, value in last.timings.items():
         setattr(integrator.timings, name, value)

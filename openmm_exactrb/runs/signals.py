@@ -40,7 +40,7 @@ class Signals:
 
 
 class LostInterrupts:
-    """Record a KeyboardInterrupt that Python drops in a destructor or a callback from C, so that `check` raises it."""
+    """Record a KeyboardInterrupt that Python drops in a destructor or C callback, so that `check` can raise it."""
 
     def __init__(self) -> None:
         self.lost = False

@@ -75,10 +75,10 @@ def corrected(kernel: Scheme, terms: int, name: str, generalised: tuple[int, ...
     """Return a scheme of Verlet steps, drift first, between Wisdom's symplectic corrector and its inverse.
 
     To first order in V, such a Verlet step has the Hamiltonian T + f(x) V, where x is h times the Poisson bracket with
-    T and f = (x/2)/sinh(x/2). The change of coordinates with x g(x) = f(x) - 1 removes the error. It is approximated by
-    groups of drifts and kicks, the i-th of which contributes 2 b_i sinh(i alpha x), so that g is matched up to the
-    power 2 `terms` - 1 of x. J. Wisdom, M. Holman and J. Touma, Fields Inst. Commun. 10, 217 (1996); Wisdom, Astron. J.
-    131, 2294 (2006), doi:10.1086/500829.
+    T and f = (x/2)/sinh(x/2). The change of coordinates with x g(x) = f(x) - 1 removes the error. This change is
+    approximated by groups of drifts and kicks, the i-th of which contributes 2 b_i sinh(i alpha x), so that g is
+    matched up to the power 2 `terms` - 1 of x. J. Wisdom, M. Holman and J. Touma, Fields Inst. Commun. 10, 217 (1996);
+    Wisdom, Astron. J. 131, 2294 (2006), doi:10.1086/500829.
     """
     # Sizes i alpha of the drifts as Wisdom chose them, alpha² = 7/40.
     square = Fraction(7, 40)

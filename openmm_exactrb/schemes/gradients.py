@@ -1,12 +1,12 @@
 """Schemes with force-gradient kicks, which use forces at displaced positions instead of a Hessian.
 
 Up to higher orders, a kick over b h by the forces at positions displaced by e h² F/M is the kick of V - (e/2) h² f .
-M^-1 f. With such kicks, schemes of order 4 need no negative coefficients.
+M^-1 f, where f is the force. With such kicks, schemes of order 4 need no negative coefficients.
 
 The terms of higher order are not the gradient of a potential and cause a drift of the energy. Positions are therefore
-displaced by only e h² F/M / k, where k is `MAGNIFICATION`, and the change of the forces is multiplied by k. The term
-and the cost are the same, and the error is k times smaller. Rounding errors of the forces are also multiplied by k, so
-that k must not be large.
+displaced by only e h² F/M / k, where k is `MAGNIFICATION`, and the change of the forces is multiplied by k. The
+force-gradient term and the cost are the same, and the error is k times smaller. Rounding errors of the forces are also
+multiplied by k, so that k must not be large.
 """
 
 from __future__ import annotations
@@ -116,8 +116,8 @@ TAKAHASHI_IMADA_PAIR = replace(
     sequence=merged((substep, 0.5 * part) for substep, part in (*TAKAHASHI_IMADA.sequence, *_MIRRORED.sequence)),
 )
 
-#: In the order of the number of forces per step, including forces at displaced positions. The tables of Schäfers et al.
-#: are for kicks by forces at displaced positions: e = 2 c/b in their notation.
+#: Schemes by number of force evaluations per step, including those at displaced positions. The tables of Schäfers et
+#: al. are for kicks by forces at displaced positions: e = 2 c/b in their notation.
 FORCE_GRADIENT = (
     TAKAHASHI_IMADA,
     force_gradient("Chin4A", "BACAB", order=4, b=(1.0 / 6.0,), e=(1.0 / 24.0,), reference=_CHIN),

@@ -91,12 +91,12 @@ class Scheme:
 
     @property
     def a(self) -> tuple[float, ...]:
-        """Coefficients of all drifts, in the order of their use."""
+        """Coefficients of all drifts, in order of execution."""
         return tuple(part for substep, part in self.sequence if substep == DRIFT)
 
     @property
     def b(self) -> tuple[float, ...]:
-        """Coefficients of the kicks in the order of their use; kicks that no drift separates are summed."""
+        """Coefficients of the kicks in order of execution; kicks that no drift separates are summed."""
         return tuple(math.fsum(part for _, part in kicks) for kicks in self._kicks())
 
     @property

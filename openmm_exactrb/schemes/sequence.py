@@ -15,7 +15,7 @@ _S = TypeVar("_S")
 
 
 def inverse(sequence: Sequence) -> Sequence:
-    """Return the inverse of a sequence."""
+    """Return the sequence whose flow inverts that of a given sequence."""
     return tuple((substep, -part) for substep, part in reversed(sequence))
 
 
@@ -48,7 +48,7 @@ def repeated(sequence: Sequence, n: int) -> Sequence:
 
 
 def second_moments(kicks: Iterable[tuple[float, float]]) -> tuple[float, float]:
-    """Return B = sum_j b_j c_j (1 - c_j) and D = sum_{j<k} b_j b_k (c_k - c_j) of kicks (b_j, c_j), in their order.
+    """Return B = sum_j b_j c_j (1 - c_j) and D = sum_{j<k} b_j b_k (c_k - c_j) of ordered kicks (b_j, c_j).
 
     b_j is the fraction of a kick and c_j its time since the thermostat, in units of the step.
     """
@@ -79,7 +79,8 @@ def up_to_kick(sequence: Sequence) -> Sequence:
     """Return the drifts from the end of a step to the next kick if the step ends with a heat exchange and drifts.
 
     A barostat acts after these drifts. With W2_3m, step-size errors of the pressure are smaller at the positions of the
-    kick than at the end of a step. Bodies with and without inner steps have drifted for the same time there.
+    kick than at the end of a step. At these positions, bodies with and without inner steps have drifted for the same
+    time.
     """
     if not behind_exchange(sequence):
         return ()

@@ -17,10 +17,10 @@ _RESOLUTION, _AT_ONCE = 1e-4, 10_000
 
 
 def stability_limit(scheme: Scheme) -> float:
-    """Return the largest step, in units of 1/omega, for which a harmonic oscillator is stable.
+    """Return the largest step, in units of 1/omega, at which an oscillator of angular frequency omega is stable.
 
-    It is the last multiple of 1e-4 before the trace of the matrix of a step leaves [-2, 2]. Points where two stable
-    intervals meet are ignored if the trace exceeds [-2, 2] by less than 1e-6.
+    The result is the last multiple of 1e-4 before the trace of the matrix of a step leaves [-2, 2]. Points where two
+    stable intervals meet are ignored if the trace exceeds [-2, 2] by less than 1e-6.
 
     Raises
     ------

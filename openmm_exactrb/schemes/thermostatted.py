@@ -43,10 +43,11 @@ def _three_kicks(outer: float) -> Sequence:
     return (DRIFT, outer - read), *kicks, (DRIFT, outer), (HEAT_EXCHANGE, 1.0), (DRIFT, read)
 
 
-#: Splittings with a thermostat within them, by name. Those of Leimkuhler and Matthews need one force per step, as does
-#: BAOA, the splitting of OpenMM's LangevinMiddleIntegrator. With an outer drift of 0.135, momenta of W2_3m next to the
-#: thermostat are canonical within 0.5 % up to 160/ps at 6 fs per force evaluation. Positions at the end of a step, at
-#: `reading_point` after the thermostat, are canonical to fourth order: tests/schemes/test_thermostatted.py.
+#: Splittings with a thermostat within them, by name. Those of Leimkuhler and Matthews need one force evaluation per
+#: step, as does BAOA, the splitting of OpenMM's LangevinMiddleIntegrator. With an outer drift of 0.135, momenta of
+#: W2_3m next to the thermostat are canonical within 0.5 % up to 160/ps at 6 fs per force evaluation. Positions at the
+#: end of a step, at `reading_point` after the thermostat, are canonical to fourth order:
+#: tests/schemes/test_thermostatted.py.
 WITH_THERMOSTAT: Mapping[str, Scheme] = MappingProxyType(
     {
         scheme.name: scheme

@@ -116,7 +116,7 @@ def _checked(value: Any, name: str, of: str, asked: str, fits: Any) -> float:
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     plain = isinstance(value, (int, float, np.number)) and not isinstance(value, (bool, np.bool_, np.complexfloating))
-    huge = isinstance(value, int) and abs(value) > sys.float_info.max  # is beyond the range of a float
+    huge = isinstance(value, int) and abs(value) > sys.float_info.max  # beyond the range of float64
     if not plain or huge or not math.isfinite(value) or not fits(value):
         shown = f"one beyond {sys.float_info.max:.2g}" if huge else repr(value)
         raise ValueError(f"{name} must be {asked.format(f' of {of}' if of else '')}, not {shown}")

@@ -21,7 +21,7 @@ def restored(kind: Any, attributes: dict[str, Any], arguments: dict[str, Any], s
 
 
 def _made(kind: Any, arguments: dict[str, Any]) -> Any:
-    """Return an integrator of a class, initialised by the class of this package that it is or extends."""
+    """Return an integrator of a class, initialised by the class of this package that it is or derives from."""
     ours = next(base for base in kind.__mro__ if base.__module__.split(".")[0] == "openmm_exactrb")
     integrator = kind.__new__(kind)
     ours.__init__(integrator, **arguments)

@@ -44,7 +44,7 @@ def written_whole(file: str | os.PathLike[str], mode: str = "w", part: str = ".p
 
 
 def sync(path: Path) -> None:
-    """Flush a file or folder to the disk."""
+    """Flush a file or folder to disk."""
     if path.is_dir() and os.name != "posix":
         return
     descriptor = os.open(path, os.O_RDONLY if os.name == "posix" else os.O_RDWR)

@@ -72,7 +72,7 @@ def _described(name_of: Callable[[Any], str], value: Any) -> Any:
         return {qualified_name(type(value)): fields}
     if isinstance(value, (FunctionType, type)):
         return {"function": name_of(value)}
-    if type(value).__module__.startswith("openmm.app") and repr(value).isidentifier():  # PME, HBonds and the like
+    if type(value).__module__.startswith("openmm.app") and repr(value).isidentifier():  # such as PME and HBonds
         return {"option": repr(value)}
     raise TypeError(f"cannot be {value!r}: use numbers, text, lists, mappings, arrays, or the path of a file")
 

@@ -1,4 +1,4 @@
-"""Warnings that point to the user's call, however deep in the package or in OpenMM they are issued."""
+"""Warnings that point to the user's call, even if they are issued deep in the package or in OpenMM."""
 
 from __future__ import annotations
 

@@ -53,8 +53,8 @@ def ellipsoids(
     kappa_prime : float
         Well depth side by side as a multiple of the depth end to end; below 1 for a disc.
     mass : float
-        In amu. The moments of inertia are those of a uniform ellipsoid, mass sigma² (1 + kappa²)/20 across the axis
-        and mass sigma²/10 about it.
+        Mass of an ellipsoid in amu. The moments of inertia are those of a uniform ellipsoid, mass sigma² (1 +
+        kappa²)/20 across the axis and mass sigma²/10 about it.
     sigma, epsilon : float
         Diameter across the axis (nm), and well depth of two crossed ellipsoids (kJ/mol). The potential is shifted by
         sigma, or by the thickness kappa sigma of a disc.
@@ -124,10 +124,10 @@ def _truncation(cutoff: float | None, switch: float | None, kappa: float, sigma:
 
 
 def _lattice(n: int, rng: np.random.Generator, box: float, kappa: float) -> Array:
-    """Return n sites (n, 3) in a unit cube on the close-packed lattice with the most room, with random vacancies.
+    """Return n sites (n, 3) in a unit cube on the close-packed lattice with the farthest neighbours, with vacancies.
 
-    The room is the shortest distance of neighbours. Distances are in units of the diameter, and along z in units of the
-    length, so that ellipsoids touch at a distance of 1.
+    Vacancies are random. Distances of neighbours are in units of the diameter, and along z in units of the length, so
+    that ellipsoids touch at a distance of 1.
     """
     layers = [(k, -(-n // (4 * k * k))) for k in range(1, n + 1)]
     room = [_closest(box / k, box / (kappa * m)) for k, m in layers]

@@ -32,9 +32,9 @@ def exclude_within(system: openmm.System, bodies: Sequence[Sequence[int]]) -> in
     system : openmm.System
         The System, which is changed in place.
     bodies : sequence of sequences of int
-        Particles of the bodies, as for ``bodies=`` of the integrators. They must move as rigid bodies. The smallest
-        distance between opposite sides of a periodic box must exceed the length of each body plus the cutoff. A virtual
-        site belongs to a body if it depends only on particles of that body.
+        Particles of the bodies, as for ``bodies=`` of the integrators. The integrator must move them as rigid bodies.
+        The smallest distance between opposite sides of a periodic box must exceed the length of each body plus the
+        cutoff. A virtual site belongs to a body if it depends only on particles of that body.
 
     Returns
     -------
@@ -82,7 +82,7 @@ def _sorted(pair: Iterable[int]) -> Pair:
 
 
 def _members(system: openmm.System, bodies: list[list[int]]) -> list[list[int]]:
-    """Return the particles of each body in ascending order, with the virtual sites that depend on it alone."""
+    """Return the particles of each body in ascending order, with the virtual sites that depend only on the body."""
     owner = checks.owners(bodies, system.getNumParticles())
     for particle in map(int, np.flatnonzero(owner < 0)):
         if system.isVirtualSite(particle):

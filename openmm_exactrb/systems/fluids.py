@@ -24,7 +24,7 @@ _MOMENT = unit.dalton * unit.nanometer**2
 _STIFFNESS = unit.kilojoule_per_mole / unit.nanometer**2
 # Least ratio of the smallest to the largest moment: in thinner bodies distances between sites have too few digits.
 _THINNEST = 1e-6
-#: Distance in nm at which two head-to-tail dipoles of Celledoni et al. (doi:10.1137/070704393) bind: r^9 = 4.
+#: Equilibrium distance in nm of two head-to-tail dipoles of Celledoni et al. (doi:10.1137/070704393): r^9 = 4.
 BINDING_DISTANCE = 4.0 ** (1.0 / 9.0)
 
 _TRIANGLE = np.array([[1.0, 0.0], [-0.5, 0.75**0.5], [-0.5, -(0.75**0.5)]]) * 2.0**0.5
@@ -111,12 +111,13 @@ def dipole_fluid(
     n : int
         Number of spheres, on the first sites of a cubic lattice about the origin, with random orientations.
     seed : int
+        Seed of the displacements from the lattice and of the orientations.
     mass : float
-        In amu.
+        Mass of a sphere in amu.
     inertia : (3,) array_like
         Principal moments in amu nm², the smallest at least 1e-6 of the largest.
     dipole : (3,) array_like or Quantity
-        Dipole moment in the principal axes, in sqrt(kJ/mol nm³), or with a unit (e nm, debye).
+        Dipole moment along the principal axes, in sqrt(kJ/mol nm³), or with a unit (e nm, debye).
     sigma, epsilon : float
         Size (nm) and strength (kJ/mol) of the soft sphere.
     attraction : float
@@ -148,7 +149,8 @@ def dipole_fluid(
         (`wca`).
     kernel : {"auto", "openmm", "bonds", "compiled"}
         Type of the force; see `soft_dipole_force`. With `Ewald`, "openmm" uses the two forces of
-        `openmm_exactrb.potentials.dipole_rod_forces`, which stay on a device and reach a tolerance of 1e-4.
+        `openmm_exactrb.potentials.dipole_rod_forces`, which OpenMM evaluates on the device, and which reach a tolerance
+        of 1e-4.
 
     Returns
     -------
@@ -279,13 +281,14 @@ def add_molecule(
 
 
 def _body_fixed_site(particles: list[int], sites: Array, place: Array) -> openmm.OutOfPlaneSite:
-    """Return a virtual site at a position in the principal axes of the body.
+    """Return a virtual site at a position given in the principal axes of the body.
 
     OpenMM computes this type of site in a third of the time of a LocalCoordinatesSite.
     """
     to_second, to_third = sites[1] - sites[0], sites[2] - sites[0]
     normal, place = np.cross(to_second, to_third), place - sites[0]
-    # Cramer's rule, unlike LAPACK, gives the same bits on every machine: the text of a System identifies a run.
+    # Cramer's rule, unlike LAPACK, gives the same bits on every machine, as needed because the text of a System
+    # identifies a run.
     columns = np.cross(place, to_third), np.cross(to_second, place), place
     weights = (np.array(columns) * normal).sum(axis=1) / (normal * normal).sum() + _OFF_FRACTIONS
     return openmm.OutOfPlaneSite(*particles[:3], *map(float, weights))
@@ -317,6 +320,7 @@ def rigid_water(
         Number of molecules. A droplet occupies the first sites of a cubic lattice; in a periodic cube there are no
         vacancies.
     seed : int
+        Seed of the orientations.
     model : {"tip3p", "spce", "tip4pew", "tip5p", "tip4p2005"}
         Water model, from a force field file of OpenMM or of this package (TIP4P/2005, doi:10.1063/1.2121687).
     spacing : float or Quantity

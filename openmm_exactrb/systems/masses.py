@@ -10,7 +10,7 @@ from openmm import app, unit
 from openmm_exactrb.openmm_access.units import stripped
 from openmm_exactrb.support import checks
 
-_WATER = Counter({8: 1, 1: 2})  # by atomic numbers: deuterium is hydrogen
+_WATER = Counter({8: 1, 1: 2})  # by atomic number, so that deuterium counts as hydrogen
 
 
 def heavy_hydrogens(

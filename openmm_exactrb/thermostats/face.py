@@ -55,9 +55,9 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
     def temperaturesAroundThermostat(self) -> tuple[unit.Quantity, unit.Quantity]:
         """Return the translational and rotational temperatures around the last heat exchange.
 
-        They are means of the temperatures before and after the exchange. With "BAOAB" and "ABOBA" the exchange is in
-        the middle of a step, where the distribution of momenta is closer to canonical. `temperatures` and the
-        velocities of the Context, which are those at the end of the step, are biased.
+        Both are means of the values before and after the exchange. With "BAOAB" and "ABOBA" the exchange is in the
+        middle of a step, where the distribution of momenta is closer to canonical. In contrast, `temperatures` and the
+        velocities of the Context refer to the end of the step and are biased.
 
         Raises
         ------
@@ -107,8 +107,7 @@ class HeatedIntegrator(ThermostattedIntegrator):
         `totalEnergy` is the energy at the end of the step. With a scheme that ends with a drift after the heat
         exchange, such as the default, momenta lag behind positions at the end of the step. `totalEnergy` then
         fluctuates by an amount proportional to the step size. A barostat, a ``CMMotionRemover`` and the setting of
-        positions or velocities also change the effective energy. With such a scheme, setting the step size changes it
-        too.
+        positions or velocities also change the effective energy, as does setting the step size with such a scheme.
 
         Raises
         ------

@@ -31,7 +31,7 @@ from openmm_exactrb.thermostat import Exchange, Thermostat
 from openmm_exactrb.thermostats.face import HeatedIntegrator, Options
 
 _RATE = unit.picosecond**-1
-# Number of different times of a heat exchange for which factors are cached.
+# Number of different durations of a heat exchange for which factors are cached.
 _TIMES = 16
 _BACKWARD = "stepSize must be positive when friction is non-zero"
 
@@ -111,10 +111,10 @@ def _rate(friction: Any) -> float:
 def ornstein_uhlenbeck(
     mass: Array, moments: Array, kT: float, friction: float | Array, rotational_friction: float | Array
 ) -> Exchange:
-    """Return the exact flow of dP = -g P dt + sqrt(2 g M kT) dW, and of its analogue for m with I.
+    """Return the exact flow of dP = -g P dt + sqrt(2 g M kT) dW, and of the analogous equation for m and I.
 
     The flow is P <- a P + sqrt((1 - a²) kT M) xi with a = exp(-g tau). Two successive flows are equivalent to one flow
-    over the sum of their times, and the Maxwell-Boltzmann distribution is invariant. For splittings with this flow see
+    over the sum of their times, and the Maxwell-Boltzmann distribution is invariant. For splittings with this flow, see
     B. Leimkuhler and C. Matthews (2013), doi:10.1063/1.4802990.
 
     Momenta whose masses (N,) or principal moments (3, K) are zero receive no noise. A friction is a number for all
@@ -149,9 +149,9 @@ _Fading = Callable[[float], tuple[Array, Array] | None]
 def _fading(friction: float | Array, width: Array) -> _Fading:
     """Return a function of tau that returns exp(-g tau) - 1 and the standard deviation of the noise, or None.
 
-    None means that momenta do not change. The factor minus 1 is used because rounding errors of a change of momenta
-    vanish together with the friction. A single friction and an array of frictions use the same function, so that their
-    results are bit-identical.
+    None means that momenta do not change. Subtracting 1 makes the rounding errors of the change of momenta vanish
+    together with the friction. A single friction and an array of frictions use the same function, so that their results
+    are bit-identical.
     """
     rates, kinds = np.unique(friction, return_inverse=True)
     kinds = kinds.reshape(np.shape(friction))
@@ -184,7 +184,7 @@ class ExactRigidBodyLangevinIntegrator(HeatedIntegrator):
     frictionCoeff : float or Quantity
         Friction of translation, in 1/ps if it has no unit.
     stepSize : float or Quantity, optional
-        Size of a whole step of the scheme, in ps if it has no unit. Pass either ``stepSize`` or ``forceInterval``.
+        Step size of the scheme, in ps if given without a unit. Pass either ``stepSize`` or ``forceInterval``.
     scheme : str or Scheme, optional
         A key of `openmm_exactrb.SCHEMES` for a scheme without a processor, a key of
         `openmm_exactrb.schemes.WITH_THERMOSTAT`, whose schemes contain the thermostat, or a scheme of your own. The

@@ -50,7 +50,7 @@ class CanonicalMomenta:
         return f"{self._temperature!r} K every {self._interval} steps, seed {self._seed}"
 
     def describeNextReport(self, simulation: Any) -> dict[str, Any]:
-        """Return the number of steps to the next draw, in the form that OpenMM requires."""
+        """Return the number of steps until the next draw, in OpenMM's format."""
         integrator = simulation.integrator
         if not isinstance(integrator, ExactRigidBodyIntegrator) or integrator.getThermostat() is not None:
             raise ValueError(

@@ -107,7 +107,7 @@ class NoseHooverChain(Thermostat):
 
     @property
     def factors(self) -> Factors:  # type: ignore[override]
-        """The device kernel of the chains, with their length and their substeps as defines."""
+        """The device kernel of the chains, with their length and their substeps as macros."""
         weights = WEIGHTS[self.numYoshidaSuzuki]
         sizes = ("CHAIN", self.chainLength), ("REPETITIONS", self.numMTS), ("N_WEIGHTS", len(weights))
         return Factors("nose_hoover", (*sizes, ("WEIGHTS", ", ".join(map(repr, weights)))), len(self.own_numbers))
@@ -249,8 +249,8 @@ class ExactRigidBodyNoseHooverIntegrator(ThermostattedIntegrator):
     def conservedEnergy(self) -> unit.Quantity:
         """Return the total energy at the last heat exchange plus the energy of the chains.
 
-        This energy is conserved to the same accuracy as the total energy of the scheme without a thermostat. A barostat
-        or a ``CMMotionRemover`` changes it, and so does setting positions or velocities.
+        This energy is conserved to the same accuracy as the total energy of the scheme without a thermostat. A
+        barostat, a ``CMMotionRemover``, and setting positions or velocities change this energy.
         """
         freedoms = self.degreesOfFreedom()
         values = {name: variables.get(self, name) for name in self._thermostat.own_numbers}

@@ -146,7 +146,7 @@ class ExactRigidBodyRescalingIntegrator(HeatedIntegrator):
     """Rigid-body dynamics at constant temperature with little disturbance: stochastic velocity rescaling.
 
     At every step, all momenta are multiplied by one number, such that the kinetic energy has its canonical distribution
-    (doi:10.1063/1.2408420). Unlike friction, this has little effect on diffusion and time correlations.
+    (doi:10.1063/1.2408420). Unlike friction, this thermostat has little effect on diffusion and time correlations.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ class ExactRigidBodyRescalingIntegrator(HeatedIntegrator):
     -----
     If all momenta are zero, rescaling leaves them zero: draw initial momenta with `setVelocitiesToTemperature`.
     Rescaling also preserves a total momentum of zero. If the forces of the System preserve the total momentum too, add
-    a ``CMMotionRemover``, so that `degreesOfFreedom` excludes the three of the centre of mass.
+    a ``CMMotionRemover``, so that `degreesOfFreedom` excludes the three degrees of freedom of the centre of mass.
     """
 
     _thermostat: StochasticRescaling

@@ -1,4 +1,4 @@
-"""The cheapest scheme and step for an energy error on a user's own system.
+"""The search for the cheapest scheme and step size that reach a given energy error on a user's own system.
 
 `tune` in `advice` combines measurement, search and result. For measurement, `initial_state` reads the arguments,
 `preparation` brings the system to a temperature, `benchmark` runs the methods within the `budget`, `error` extrapolates

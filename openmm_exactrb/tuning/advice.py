@@ -1,4 +1,4 @@
-"""Advice for a user's own system: the cheapest scheme and step for an energy error."""
+"""Advice for a user's own system: the cheapest scheme and step size for a given energy error."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ __all__ = ["CANDIDATES", "progress", "tune"]
 #: Default limit of the processor time of a tuning, in seconds.
 BUDGET = 120.0
 
-# Length of survey runs and its minimum, in characteristic times, and length of production runs in survey runs. With a
-# given horizon, survey runs take a tenth of it, up to the last number times their usual length.
+# Usual and smallest length of survey runs in characteristic times, and ratio of the lengths of production and survey
+# runs. For a given horizon, survey runs last a tenth of it, but at most the last number times their usual length.
 _SURVEY, _SHORTEST, _LONGER, _LONGEST = 100.0, 30.0, 10.0, 4.0
 # Fractions of the force evaluations that the budget allows, for the survey and for production runs. Number of step
 # sizes down to the target, time per evaluation near the target in characteristic times, and number of settings that are
@@ -62,32 +62,32 @@ def tune(
     seed: int = 0,
     report: Callable[[str], None] | None = progress,
 ) -> Tuning:
-    """Find the cheapest scheme and step for an energy error, by measuring schemes on a system.
+    """Find the cheapest scheme and step size for a given energy error by measuring schemes on a system.
 
     The error is the standard deviation of the total energy within an NVE run of length `horizon`, in kJ/mol per body
-    (rigid bodies and single particles). Limits that apply to every scheme are reported first. If the target is less
-    than half the error due to the forces, the search is skipped. Survey runs have the length `duration`, and their
-    errors are extrapolated to the horizon using the growth of the variance. The recommended setting is then run over
-    the whole horizon from three starts: the given start, and two others at its temperature. The promised error is the
-    largest of the three errors, increased if the error depends so steeply on the step that another start may have a
-    larger error. Costs are measured as in `Simulation.step`, which calls the integrator once per ten steps. If the
-    System has bonds and angles that are not constrained, schemes with ``fast="bonded"`` are tried too: those of
+    (rigid bodies and single particles). Causes that limit the accuracy of every scheme are reported first. If the
+    target is less than half the error due to the forces, the search is skipped. Survey runs have the length `duration`,
+    and their errors are extrapolated to the horizon from the growth of the variance. The recommended setting is then
+    run over the whole horizon from three starts: the given start, and two others at its temperature. The promised error
+    is the largest of the three errors, increased if the error depends so steeply on the step that another start may
+    have a larger error. Costs are measured as in `Simulation.step`, which calls the integrator once per ten steps. If
+    the System has bonds and angles that are not constrained, schemes with ``fast="bonded"`` are tried too: those of
     `schemes`, or `NESTED_CANDIDATES`.
 
     Parameters
     ----------
     system : openmm.System or openmm.app.Simulation
-        A Simulation also provides its state, box, parameters, platform, active force groups and bodies named by hand.
-        Errors and costs are measured without its thermostats, barostats and motion removers.
+        A Simulation also provides its state, box, parameters, platform, active force groups and the bodies passed as
+        `bodies`. Errors and costs are measured without its thermostats, barostats and motion removers.
     start : openmm.State or (n, 3) array or Quantity, optional
-        A State with positions and velocities, preferably of an equilibrated run, or positions, in nm if they have no
+        A State with positions and velocities, preferably from an equilibrated run, or positions, in nm if they have no
         unit.
     target : float, optional
-        Standard deviation of the total energy to be reached, in kJ/mol per body. Without a target all step sizes are
+        Standard deviation of the total energy to be reached, in kJ/mol per body. Without a target, all step sizes are
         measured, and the result provides settings for any error.
     schemes : sequence of str or Scheme, optional
         By default `CANDIDATES`, or as many of them as the budget allows. The name of a custom scheme must not be in the
-        catalogue. OpenMM's VerletIntegrator is measured too if constraints hold all bodies. If this integrator fails,
+        catalogue. OpenMM's VerletIntegrator is measured too if constraints define all bodies. If this integrator fails,
         the result states the failure.
     velocities : (n, 3) array or Quantity, optional
         Velocities for a start given by positions, in nm/ps if they have no unit.
@@ -97,9 +97,9 @@ def tune(
     platform : str or openmm.Platform, optional
         By default the platform named by OPENMM_DEFAULT_PLATFORM, otherwise the fastest one except for OpenCL on a CPU.
     properties : mapping, optional
-        Properties of the platform; by default mixed precision if there is a choice.
+        Properties of the platform; by default mixed precision if the platform offers it.
     bodies : sequence of sequences of int, optional
-        Bodies named by hand, as in `ExactRigidBodyIntegrator`; by default those of the integrator of a Simulation.
+        As in `ExactRigidBodyIntegrator`; by default the argument of the Simulation's integrator.
     horizon : float or Quantity, optional
         Length of the production runs for which errors are promised, in ps if it has no unit. The default is ten times
         `duration`, or less if the budget does not allow that.
@@ -159,7 +159,7 @@ def tune(
 def _in_motion(
     state: InitialState, temperature: Any, seed: int, budget: Budget, notes: list[str], tell: Report
 ) -> InitialState:
-    """Report the limits of the error of a state, and bring it to the temperature if one is given."""
+    """Report what limits the energy error, and bring the state to the temperature if one is given."""
     for cause in causes(state.system):
         tell(f"limits the energy error of any integrator: {cause}")
     at_rest = not state.state.getVelocities(asNumpy=True)._value.any()
@@ -181,7 +181,7 @@ def _in_motion(
 def _plan(
     benchmark: Benchmark, methods: list[Method], survey: float | None, horizon: float | None, free: bool
 ) -> tuple[list[Method], float, float]:
-    """Return methods and lengths of runs that fit into the budget; those given by the user are kept."""
+    """Return methods and run lengths that fit into the budget, keeping those that the user gave."""
     time = benchmark.characteristics.time
     affordable = benchmark.evaluations_left()
     deep = sum(RATIO**level / COARSE for level in range(_DEEP))  # evaluations of a method per characteristic time

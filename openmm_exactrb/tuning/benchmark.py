@@ -1,4 +1,4 @@
-"""The methods that are compared, and their runs from several starts, which yield energies and times."""
+"""The methods that are compared, and their runs from several starts, which measure energies and times."""
 
 from __future__ import annotations
 
@@ -53,9 +53,9 @@ NESTED = " nested"
 #: Number of starts from which a promised error is measured.
 STARTS = 3
 
-# Usual number of energies of a run, and the smallest number.
+# Usual and smallest number of energies that a run records.
 _SAMPLES, _FEWEST_SAMPLES = 300, 48
-# Number of steps in a call of the integrator by Simulation.step.
+# Number of steps per call of the integrator in Simulation.step.
 _CALL = 10
 # Step, in characteristic times, of the run that measures the time of a force evaluation.
 _BRIEF = 0.05
@@ -112,7 +112,7 @@ def schemes_named(names: str | Scheme | Sequence[str | Scheme]) -> list[Scheme]:
 class Energies(NamedTuple):
     """The total energies of a run, and its cost."""
 
-    #: In kJ/mol per body, at equal times.
+    #: In kJ/mol per body, at equal intervals of time.
     values: NDArray[np.float64]
     #: Time between two energies in ps.
     interval: float
@@ -137,17 +137,17 @@ class SchemeUnderTest:
         self.timings = self.integrator.timings
 
     def begin(self, h: float, start: InitialState) -> None:
-        """Set a start, and a step in ps."""
+        """Set the initial state, and the step size in ps."""
         self.integrator.setStepSize(h)
         loadState(self.context, start.state)
         self.timings.reset()
 
     def energy(self) -> float:
-        """Return the total energy in kJ/mol, with the kinetic energy in float64."""
+        """Return the total energy in kJ/mol, with the kinetic energy computed in float64."""
         return float(self.integrator.totalEnergy()._value)
 
     def step(self, steps: int) -> None:
-        """Perform steps."""
+        """Perform the given number of steps."""
         self.integrator.step(steps)
 
 
@@ -165,7 +165,7 @@ class VerletUnderTest(SchemeUnderTest):
         return float((now.getPotentialEnergy() + now.getKineticEnergy())._value)
 
     def step(self, steps: int) -> None:
-        """Perform steps, and wait for platforms that compute asynchronously."""
+        """Perform the given number of steps, and wait for platforms that compute asynchronously."""
         begun = time.perf_counter()
         self.integrator.step(steps)
         self.context.getState(positions=True)
@@ -189,7 +189,7 @@ class Benchmark:
         #: The initial state, with molecules that are rigid and not split by the periodic box.
         self.state = state.updated(context)
         self.budget, self._seed = budget, seed
-        #: Processor time in s of a force evaluation in the last run; 0 before the first.
+        #: Processor time in s of a force evaluation in the last run; 0 before the first run.
         self.processor = 0.0
         self._under_test: dict[str, SchemeUnderTest] = {}
 
@@ -215,7 +215,7 @@ class Benchmark:
         return True
 
     def evaluations_left(self) -> float:
-        """Return the number of force evaluations that the rest of the budget allows, from the time of short runs."""
+        """Return the number of force evaluations that the rest of the budget allows, estimated from short runs."""
         step = _BRIEF * self.characteristics.time
         for _ in range(2):  # the first run compiles kernels
             self.run(Method(CATALOGUE["V2"]), step, _FEWEST_SAMPLES * step, self.state)
@@ -246,7 +246,7 @@ class Benchmark:
                 raise
             return None
         finally:
-            if tested.timings.evaluations >= _FEWEST_SAMPLES:  # fewer would measure the cost of a start
+            if tested.timings.evaluations >= _FEWEST_SAMPLES:  # fewer would measure mainly the cost of starting a run
                 self.processor = (time.process_time() - begun) / tested.timings.evaluations
 
     def _energies(self, tested: SchemeUnderTest, step: float, duration: float, start: InitialState) -> Energies | None:

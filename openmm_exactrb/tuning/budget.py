@@ -1,4 +1,4 @@
-"""The processor time that a tuning may take."""
+"""The limit on the processor time of a call of `tune`."""
 
 from __future__ import annotations
 

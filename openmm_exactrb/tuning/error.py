@@ -10,8 +10,8 @@ from openmm_exactrb.support.types import Array
 
 _WINDOWS = (8, 4, 2, 1)
 # A drift is the slope of the means of this many parts of a run. The differences of successive residuals from a line
-# show how the means scatter. For independent means, their sum of squares is twice that of the residuals; for a random
-# walk, it is far less.
+# show how the means scatter. For independent means, the sum of the squared differences is twice that of the squared
+# residuals; for a random walk, the ratio is far smaller. The second number separates the two cases.
 _PARTS, _SCATTER = 16, 1.5
 # A slope is a drift if it exceeds this many of its standard errors. One random walk in 25 is then mistaken for a drift,
 # and few oscillations are.

@@ -1,4 +1,4 @@
-"""Causes of a lower bound of the energy error of all integrators: forces that are not the gradient of the energy."""
+"""Settings that limit the energy error of every integrator, because the forces are not the gradient of the energy."""
 
 from __future__ import annotations
 
@@ -30,6 +30,6 @@ def causes(system: openmm.System) -> Iterator[str]:
 
 
 def _chosen(force: openmm.NonbondedForce) -> tuple[float, ...]:
-    """Return the parameters of PME that the user set, with which the tolerance has no effect, or zeros."""
+    """Return the PME parameters that the user set, which override the tolerance, or zeros."""
     alpha, *grid = force.getPMEParameters()
     return (alpha._value if hasattr(alpha, "_value") else alpha, *grid)

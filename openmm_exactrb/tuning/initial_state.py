@@ -30,7 +30,7 @@ _SHARE = 0.33
 # Accepted deviation of the kinetic energy: a fraction, because a large system absorbs heat, plus a number of standard
 # deviations.
 _SLACK, _DEVIATIONS = 0.1, 5.0
-# Parts of Langevin dynamics between two starts.
+# Number of parts of Langevin dynamics between two starts.
 _APART = 4
 
 
@@ -43,9 +43,9 @@ class InitialState:
     state: openmm.State
     platform: openmm.Platform
     properties: Mapping[str, str] = field(default_factory=dict)
-    #: Particles of bodies named by hand.
+    #: Particles of the bodies passed as `bodies`.
     bodies: list[list[int]] | None = None
-    #: Bits of the active force groups.
+    #: Bit mask of the active force groups.
     groups: int = -1
 
     def context(self, integrator: openmm.Integrator) -> openmm.Context:
@@ -60,7 +60,7 @@ class InitialState:
         return replace(self, state=context.getState(positions=True, velocities=True, parameters=True))
 
     def probe(self, fast: str | None = None) -> tuple[ExactRigidBodyIntegrator, openmm.Context]:
-        """Return an integrator that knows the bodies, and its Context in this state."""
+        """Return an integrator with the bodies of this state, and its Context."""
         integrator = ExactRigidBodyIntegrator(1e-6, scheme="V2", bodies=self.bodies, fast=fast, engine="host")
         return integrator, self.context(integrator)
 
@@ -132,7 +132,7 @@ def _coordinates(values: Any, system: openmm.System, in_unit: unit.Unit, what: s
 
 
 def thermalised(state: InitialState, temperature: float, seed: int, minimised: bool, budget: Budget) -> InitialState:
-    """Bring a state to a temperature in K, within a third of the budget; raise ValueError if it is not reached."""
+    """Bring a state to a temperature in K, within a third of the budget; raise ValueError if this fails."""
     integrator, context = state.langevin(temperature, seed)
     if minimised:
         minimise(integrator)

@@ -14,8 +14,8 @@ from openmm_exactrb.tuning.error import expected_error
 
 Report = Callable[[str], None]
 
-# The error from another start may be as large as at a step longer by this factor. Where the curve is steeper than the
-# order of the method, such an error exceeds those of the starts that were run.
+# The error from another start may equal the error at a step that is longer by this factor. Where the curve is steeper
+# than the order of the method, that error exceeds the errors of the starts that were run.
 _LONGER = 1.05
 #: Factor for errors that are measured in fewer runs than a promised error requires.
 UNSURE = 1.5
@@ -27,7 +27,7 @@ class Point:
 
     #: Name of a scheme, followed by " nested" if bonded forces are nested, or "VerletIntegrator".
     method: str
-    #: Step of the whole scheme in ps.
+    #: Step size in ps.
     step: float
     #: Expected standard deviation over the horizon in kJ/mol per body; infinite if a run failed or was unstable.
     error: float
@@ -83,7 +83,8 @@ class Measurements:
         #: Whether the budget ended a search, or the runs for a promised error.
         self.cut = False
         self._points: list[Point] = []
-        # Wall time in s of a force evaluation with the evaluations nested in it, and their number, by method and step.
+        # By method and step: wall time in s of a force evaluation and its nested evaluations, and the number of the
+        # latter.
         self._taken: dict[tuple[str, float], tuple[float, float]] = {}
 
     @property
@@ -92,7 +93,7 @@ class Measurements:
         return [replace(p, cost=self._cost(p)) for p in self._points]
 
     def at(self, name: str, interval: float) -> Point:
-        """Return the point of the survey for a method at a given time per force evaluation in ps."""
+        """Return the survey point of a method at a given interval between force evaluations in ps."""
         method = self.methods[name]
         step = method.stages * interval
         run = self._run(method, step, self.duration, 0)
@@ -143,7 +144,7 @@ class Measurements:
     def _seconds(self, name: str, step: float) -> float:
         """Return the wall time of a force evaluation and its nested evaluations, which is the same in all schemes.
 
-        The minimum is used, because any excess is due to other work of the machine.
+        The minimum over all runs is used, because any excess is due to other processes on the machine.
         """
         own = [seconds for (other, _), (seconds, _) in self._taken.items() if other == name]
         if name == VERLET:

@@ -25,10 +25,10 @@ _EXTENT = 0.1
 # Parameters of Langevin dynamics: step in characteristic times, smallest and largest friction in inverse characteristic
 # times, shortest step in times of free bodies, and number of steps after which these times are recomputed.
 _STEP, _WEAKEST, _STRONGEST, _SHORTEST, _STEPS = 0.07, 0.2, 1.0, 1e-3, 75
-# Largest distance in nm that a body of the mean mass moves in a step, since it may collide with another, and the number
-# of times that the step is halved after a divergence.
+# Largest distance in nm that a body of the mean mass may move in a step, because bodies may collide, and the number of
+# times that the step is halved after a divergence.
 _FLIGHT, _HALVINGS = 0.003, 4
-# Least number of relaxation times of the momentum within dynamics of a given length.
+# Smallest number of momentum relaxation times in dynamics of a given length.
 _RELAXED = 10.0
 #: Number of parts, of `_STEPS` steps each, that bring a start to a temperature.
 PARTS = 16
@@ -47,7 +47,7 @@ class Characteristics(NamedTuple):
     time: float
     #: Time in ps in which free bodies turn by a radian, and particles without a shape move by 0.1 nm.
     free: float
-    #: Root mean square of a component of the velocity at the mean mass, in nm/ps.
+    #: Root mean square of a velocity component for the mean mass, in nm/ps.
     speed: float
 
 
@@ -81,7 +81,7 @@ def _free_time(bodies: RigidBodies, kT: float) -> float:
 
 @contextlib.contextmanager
 def diverging() -> Iterator[None]:
-    """Turn OpenMM's exception for NaN coordinates into NonFiniteError; other exceptions are passed on."""
+    """Convert OpenMM's exception for NaN coordinates into NonFiniteError; other exceptions propagate unchanged."""
     try:
         yield
     except openmm.OpenMMException as error:
@@ -108,7 +108,7 @@ def heat(
     length: float | None = None,
     may_continue: Callable[[], bool] = lambda: True,
 ) -> Iterator[float]:
-    """Perform Langevin dynamics for a time in ps, by default in `PARTS` parts; yield the kinetic energy after a part.
+    """Perform Langevin dynamics for a time in ps, by default in `PARTS` parts; yield the kinetic energy after each.
 
     The step is chosen from the forces, which allows starts far from equilibrium. The step is halved if the dynamics
     diverges because bodies collide that did not interact when the step was chosen.

@@ -27,7 +27,7 @@ class Choice:
 
     #: Name of a scheme, followed by " nested" if bonded forces are nested, or "VerletIntegrator".
     method: str
-    #: Step of the whole scheme in ps.
+    #: Step size in ps.
     step: float
     #: Promised standard deviation of the total energy over the horizon, in kJ/mol per body.
     error: float
@@ -36,11 +36,11 @@ class Choice:
     #: Whether this setting itself was run over the horizon, from several starts; otherwise the setting follows from the
     #: survey.
     confirmed: bool
-    #: Bodies named by hand, an argument of the integrator.
+    #: The argument `bodies` of the integrator.
     bodies: list[list[int]] | None = None
     #: The scheme of the method if it is not in the catalogue.
     scheme: Scheme | None = None
-    #: Bits of the force groups that act.
+    #: Bit mask of the active force groups.
     groups: int = -1
     #: Force evaluations per ps of `Simulation.step`, if reports are at least ten steps apart.
     evaluations: float = math.nan
@@ -84,17 +84,17 @@ class Tuning:
     target: float | None = None
     #: The cheapest setting that meets the target.
     chosen: Choice | None = None
-    #: Error due to the noise of the forces, in kJ/mol per body: smaller steps do not lower it.
+    #: Error due to the noise of the forces, in kJ/mol per body, which smaller steps do not reduce.
     floor: float | None = None
     #: Settings of the System that may cause this noise.
     causes: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     bodies: list[list[int]] | None = field(default=None, repr=False)
-    #: Bits of the force groups that act.
+    #: Bit mask of the active force groups.
     groups: int = -1
 
     def best(self, target: float | None = None, method: str | None = None) -> Choice:
-        """Return the cheapest scheme and step for an energy error.
+        """Return the cheapest scheme and step size for a given energy error.
 
         Parameters
         ----------
@@ -141,7 +141,7 @@ class Tuning:
         return stable_curve(self.points, method)
 
     def choice(self, point: Point, confirmed: bool = True) -> Choice:
-        """Return the setting of a point; `confirmed` states whether it was run over the horizon."""
+        """Return the setting of a point; `confirmed` states whether this setting was run over the horizon."""
         method = self.methods[point.method]
         own = None if method.scheme in CATALOGUE.values() else method.scheme
         evaluations = method.evaluations / point.step

@@ -21,8 +21,8 @@ RATIO = 2.0**0.5
 # smaller deviation of the two schemes and above _FALLING times the deviation at the coarser step. A deviation above the
 # fraction _LARGE of the kinetic energy, a hundred times the error of a scheme, need not meet the second condition.
 _PROBES, _FINE, _PROBED, _FALLING, _LARGE, _APART = ("W4_4", "SRKN4_6b"), 0.05, 0.3, 0.35, 1e-4, 5.0
-# Number of first step sizes at which all methods may be unstable, and the ratio of an error to the noise below which
-# smaller steps gain nothing.
+# Number of step sizes, from the first, at which all methods may be unstable, and the ratio of an error to the noise
+# below which smaller steps gain nothing.
 _SEARCHED, _CLOSE = 16, 2.0
 # Number of methods that are run for the production length at a time, number of settings of each, least ratio of costs
 # of successive settings, and fraction of the target that is aimed at.
@@ -91,7 +91,7 @@ def _at_floor(measured: Measurements, name: str, floor: float | None) -> bool:
 
 
 def _confirmed(measured: Measurements, target: float) -> Point | None:
-    """Run the cheapest settings near the target for the production length; return the cheapest one that meets it."""
+    """Run the cheapest settings near the target for the production length; return the cheapest that succeeds."""
     reached = {name: cost_at(measured.curve(name), _AIM * target) for name in measured.schemes()}
     costs = {name: cost for name, cost in reached.items() if cost is not None}
     chosen: Point | None = None

@@ -17,7 +17,7 @@ from openmm_exactrb.schemes.sequence import inverse, up_to_kick
 from openmm_exactrb.schemes.thermostatted import canonical_momenta
 from openmm_exactrb.thermostat import Factors
 
-#: How many numbers a heat exchange has in addition to its time; see kernels/rigid.cl.
+#: Number of parameters of a heat exchange in addition to its time; see kernels/rigid.cl.
 EXCHANGE_NUMBERS = 8
 
 

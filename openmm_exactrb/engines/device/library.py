@@ -1,9 +1,9 @@
 """The library of the device engine, which is loaded from a wheel, or compiled once into the user's cache.
 
-A wheel contains the library for one minor version of OpenMM next to this file. If this file is missing, or if OpenMM
+A wheel contains the library for one minor version of OpenMM next to this module. If the wheel has no library, or OpenMM
 has another minor version, the library is compiled within seconds, like numba's kernels. The name of the compiled file
-contains a hash of the source, of OpenMM's version and of the compiler. The file is moved into place in one step,
-because two processes may compile at the same time.
+contains a hash of the source, of OpenMM's version and of the compiler. The file is moved into place atomically, because
+two processes may compile at the same time.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ class Device:
         self._call("upload", name.encode(), ctypes.c_void_p(values.ctypes.data), ctypes.c_size_t(values.nbytes))
 
     def download(self, name: str, out: NDArray[Any]) -> NDArray[Any]:
-        """Read an array of the program into a contiguous array `out` of the same number of bytes, and return this."""
+        """Read an array of the program into a contiguous array `out` of the same number of bytes, and return `out`."""
         self._call("download", name.encode(), ctypes.c_void_p(out.ctypes.data), ctypes.c_size_t(out.nbytes))
         return out
 
@@ -193,7 +193,7 @@ def describe() -> str:
             openmm_folder()  # raises an error if headers are missing
     except MissingLibraryError as error:
         return f"not available: {error}"
-    return str(path) if path.exists() else f"to be compiled by {compiler()} at first use, in some seconds"
+    return str(path) if path.exists() else f"to be compiled by {compiler()} at first use, which takes some seconds"
 
 
 def cached() -> Path:

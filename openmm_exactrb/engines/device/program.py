@@ -88,7 +88,7 @@ def copy(array: str, to: str) -> str:
     return f"copy {array} {to}"
 
 
-#: Operations: let OpenMM compute virtual sites, let it reorder atoms if this is due, and complete a step.
+#: Operations that make OpenMM compute virtual sites, make it reorder atoms if this is due, and complete a step.
 SITES, REORDER, STEP = "sites", "reorder", "step"
 
 # Scalars of the integrator.
@@ -104,7 +104,7 @@ class Program:
 
     All scalars are saved, like `saved` arrays. The integrator reads "interval", the number of steps between actions of
     barostats or thermostats of the System, and "removal", the number of steps between removals of the centre-of-mass
-    motion; 0 means never. In "calls" it counts the steps since OpenMM last updated the Context.
+    motion; 0 means never. In "calls" the integrator counts the steps since OpenMM last updated the Context.
     """
 
     arrays: dict[str, Array] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""The propagator of the device engine: it lets the integrator execute a program, and checks the result."""
+"""The propagator of the device engine, which lets the integrator execute a program and checks the result."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class DevicePropagator:
         self._conserves = conserve_energy(system)
         self._version: object = None
         self._surroundings: object = None  # box and parameters to which the inner coordinates belong
-        self._kept = 0.0  # the mark of the inner coordinates before a call
+        self._kept = 0.0  # the mark (see `inner_mark`) of the inner coordinates before a call
         self._largest = 0.0  # the largest kinetic energy (kJ/mol) that was accepted
         self._load()
         if (evaluated := self._served.evaluated) is not None:
@@ -125,7 +125,7 @@ class DevicePropagator:
         return bool(self._settings.scheme.processor)
 
     def _bind(self, settings: Any) -> None:
-        """Update the numbers of the program to new settings, and the whole program if this is necessary."""
+        """Adapt the numbers of the program to new settings; reload the whole program if necessary."""
         self._leave(settings)
         before, self._settings = (self._settings.h, self._settings.groups), settings
         nested = self._fast is not None and before != (settings.h, settings.groups)
@@ -267,7 +267,7 @@ class DevicePropagator:
 
     @property
     def _thermal(self) -> float:
-        """The largest kinetic energy (kJ/mol) ascribed to thermostats: twice the canonical mean plus 20 kT."""
+        """The largest kinetic energy (kJ/mol) attributed to thermostats: twice the canonical mean plus 20 kT."""
         thermostat, bodies = self._settings.thermostat, self.sync.bodies
         kT = 0.0 if thermostat is None else gas_constant_times(thermostat.temperature)
         kT = max(kT, self.updates.hottest(self.sync.context))
@@ -298,7 +298,7 @@ class DevicePropagator:
             self._coordinates = mark
 
     def _leave(self, settings: Any) -> None:
-        """Map inner coordinates back to true coordinates, by the exact inverse, unless they belong to the settings."""
+        """Map inner coordinates back to true coordinates, by the exact inverse, unless they belong to `settings`."""
         if self._coordinates and self._coordinates != inner_mark(settings.scheme, settings.h):
             if self._version is not None:  # otherwise the coordinates belong to another program
                 self.device.run("postprocess")
@@ -307,7 +307,7 @@ class DevicePropagator:
 
     @property
     def _coordinates(self) -> float:
-        """The mark of the inner coordinates, or 0 if there are no inner coordinates."""
+        """The mark (see `inner_mark`) of the inner coordinates, or 0 without inner coordinates."""
         return variables.get(self._integrator(), variables.COORDINATES)
 
     @_coordinates.setter

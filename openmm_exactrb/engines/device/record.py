@@ -23,7 +23,7 @@ _ROTORS = ("exact", "exact_numpy", "exact_compiled")
 
 
 def _unsupported(settings: Settings) -> str | None:
-    """Return why the rotor, the thermostat or a substep is not supported, or None."""
+    """Return the reason why the rotor, the thermostat or a substep is not supported, or None."""
     thermostat, rotor, scheme = settings.thermostat, settings.rotor, settings.scheme
     if thermostat is not None and thermostat.kernel_exchange(0.0, (0, 0)) is None:
         return f"the device does not support {type(thermostat).__name__}"
@@ -39,7 +39,7 @@ def _unsupported(settings: Settings) -> str | None:
 
 
 def _unsupported_in(context: Any, settings: Settings) -> str | None:
-    """Return why a Context is not supported, or None."""
+    """Return the reason why a Context is not supported, or None."""
     platform = context.getPlatform()
     name = platform.getName()
     if name not in platforms.DEVICES:
@@ -59,7 +59,7 @@ def _unsupported_in(context: Any, settings: Settings) -> str | None:
 
 
 def _unsupported_beside_molecules(settings: Settings) -> str | None:
-    """Return why the kernels of flexible molecules do not support the scheme, or None."""
+    """Return the reason why the kernels of flexible molecules do not support the scheme, or None."""
     if settings.scheme.has_gradients:
         return f"the device has no force-gradient kicks of flexible molecules, which {settings.outer.name} needs"
     for substep, part in settings.scheme.sequence:

@@ -33,7 +33,7 @@ _STATE = ("R", "P", "q", "L")
 _ROWS = {"R": 3, "P": 3, "q": 4, "L": 3}
 _TABLES = ("kind", "kinds", "atoms", "sites", "masses", "constants")
 _CONTEXT = ("posq", "posqCorrection", "velm", "places", "box")
-# A function in the source of a user's move, and its name.
+# Pattern of a function in the source of a user's move; the group is the name of the function.
 _FUNCTION = re.compile(r"\bDEVICE\s+(?:inline\s+)?\w+\s+(\w+)\s*\(")
 # Bits for the properties of a segment, as in kernels/rigid.cl.
 _HAS_FORCES, _MOVES_PARTICLES, _SHOWS_VELOCITIES, _IS_DISPLACED = 1, 2, 4, 8
@@ -180,7 +180,7 @@ class RigidPart:
         return [kinetic, Launch(self._source, "total", BLOCK, (sums, "totals", int(adds)), BLOCK)]
 
     def pushed(self, copied: bool, to_copy: bool) -> list[Operation]:
-        """Return operations that add the change of the Context's velocities since state(copied) to state(to_copy)."""
+        """Return operations that add to state(to_copy) the change of the Context's velocities since state(copied)."""
         _, P, _, L = self.state(to_copy)
         return [self._launch("pushed", (*_CONTEXT, *self._named(*_TABLES), *self.state(copied), P, L))]
 

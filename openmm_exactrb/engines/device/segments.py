@@ -31,7 +31,7 @@ from openmm_exactrb.support.types import Array
 
 Rows = Iterable[tuple[object, float]]
 
-#: All active force groups, as bits.
+#: All active force groups, as a bit mask.
 ALL = -1
 # Integers per move in the table.
 _COLUMNS = 4
@@ -224,7 +224,7 @@ class Table:
         return self._places[moves], len(moves)
 
     def values(self, h: float, exchange: Exchange | None) -> tuple[NDArray[np.int32], Array]:
-        """Return the arrays for steps of h (ps), where exchange(tau) returns the numbers of a heat exchange."""
+        """Return the arrays for the step size h (ps), where exchange(tau) returns the numbers of a heat exchange."""
         numbers = [move.numbers(h, exchange) for move in self._moves]
         starts = np.cumsum([0, *map(len, numbers)])
         rows = [
@@ -264,7 +264,7 @@ class Part(Protocol):
         """Return the operations that write kinetic energies and the number of invalid bodies to "totals"."""
 
     def pushed(self, copied: bool, to_copy: bool) -> Sequence[Operation]:
-        """Return operations that add the change of the Context's velocities since state(copied) to state(to_copy)."""
+        """Return operations that add to state(to_copy) the change of the Context's velocities since state(copied)."""
 
     def moved(self, copied: bool) -> Sequence[Operation]:
         """Return the operations that read positions changed by OpenMM."""
@@ -337,7 +337,7 @@ class Sequences:
     def write_processor(self, to: Program, scheme: Scheme) -> None:
         """Write "enter", the map to inner coordinates, and the maps back: "output" and the exact "postprocess"."""
         to.sequence("enter", [*self._copies(shown=False), *self._way(scheme.processor, copied=False)])
-        placed = self.moved(Segment(places=True, copied=True))  # because forces are evaluated here
+        placed = self.moved(Segment(places=True, copied=True))  # because forces are evaluated at these positions
         to.sequence("postprocess", [*self._copies(shown=True), *placed, *self._way(scheme.postprocessor, copied=True)])
         to.sequence("output", [*self._copies(shown=True), *self._way(scheme.output, copied=True)])
 
@@ -347,7 +347,7 @@ class Sequences:
         return [program.copy(*names) for names in itertools.chain(*pairs)]
 
     def _way(self, rows: Rows, copied: bool, begins: float | None = None) -> list[Operation]:
-        """Return the operations of substeps outside of a step, which finally show the state in the Context.
+        """Return the operations that perform substeps outside of a step and then show the state in the Context.
 
         The time does not advance, unless it begins at a given fraction of the step.
         """

@@ -37,7 +37,7 @@ class DeviceState(Synchronisation):
             self._same, self._rigid = (_SINGLE, _SINGLE_PART), _SINGLE
 
     def pull(self) -> bool:
-        """Update the state from the device, or both from a Context that was changed; return whether it was changed."""
+        """Update the state from the device, or both from a changed Context; return whether the Context was changed."""
         changes = self._device.changes()
         if not changes & (SET | LOADED):
             if self._behind:
@@ -109,7 +109,7 @@ class DeviceState(Synchronisation):
         return State.of(out)
 
     def push(self) -> None:
-        """Write the state into the Context, and to the device."""
+        """Write the state to the Context and to the device."""
         context = self.context
         context.setPositions(self.bodies.positions(self.state.rounded, self.particles))
         self.write_velocities(self.state)

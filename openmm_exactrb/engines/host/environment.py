@@ -48,11 +48,11 @@ class HostEnvironment:
     last_exchange: tuple[State, State] | None = None
 
     def forces(self, group: int | None = None) -> Forces:
-        """Return the forces of a force group or, by default, the forces of kicks."""
+        """Return the forces of a force group or, by default, all forces that kicks apply."""
         return self.slow if group is None else self.all_forces.of(1 << group)
 
     def exchange_of(self, number: int) -> Flow[State]:
-        """Return the flow of the n-th heat exchange in a step."""
+        """Return the flow of heat exchange `number` of a step."""
         if self.settings.thermostat is None:
             raise ValueError(
                 f"scheme {self.settings.scheme.name} contains a thermostat, but the integrator has none: pass one as "
@@ -74,7 +74,7 @@ class HostEnvironment:
         return self.updates.freedom(self.bodies)
 
     def bound(self, sequence: Sequence, h: float) -> Bound:
-        """Return the flows of a sequence and their times, for steps of h (ps)."""
+        """Return the flows of a sequence and their times, for the step size h (ps)."""
         flows: dict[Substep, Flow[State]] = {}
         for substep, _ in sequence:
             if substep not in flows:

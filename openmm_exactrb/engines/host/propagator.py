@@ -1,8 +1,8 @@
 """The propagator of the host engine, which performs the steps of an integrator in its Context.
 
-It is created once for a Context, and bound to the settings of the integrator whenever these have changed. It owns the
-state, which for a processed scheme remains in inner coordinates between calls; the Context then shows a copy that has
-passed through the post-processor.
+The propagator is created once for a Context, and bound to the settings of the integrator whenever these have changed.
+It owns the state. For a processed scheme, this state remains in inner coordinates between calls, and the Context shows
+a copy that has passed through the post-processor.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ class Clock:
     def _set(self, number: int, time: float) -> None:
         self.number, self.time, self._drifted = number, time, 0.0
         context: Any = self._context()
-        openmm.Context.setStepCount(context, number)  # not the method that is watched
+        openmm.Context.setStepCount(context, number)  # bypasses the method that detects changes by the user
         context.setTime(time)
 
 
@@ -242,7 +242,7 @@ class HostPropagator:
         return self._copied(self._postprocessor, inner)
 
     def _shown(self, inner: State) -> State:
-        """Return the output for an inner state; it is a copy, so that the error of the output does not accumulate."""
+        """Return the output for an inner state, as a copy, so that the error of the output does not accumulate."""
         cheap = self._output and self._memory.full
         return self._copied(self._output if cheap else self._postprocessor, inner)
 
@@ -340,7 +340,7 @@ class HostPropagator:
         return Overheating(self.sync.bodies, kT, thermostat.relaxation)
 
     def _leave_coordinates(self, settings: Settings) -> None:
-        """Map inner coordinates back to true coordinates, unless they belong to the settings."""
+        """Map inner coordinates back to true coordinates, unless they belong to `settings`."""
         inner = self.sync.inner_in(self._coordinates)
         if inner is not None and inner_mark(settings.scheme, settings.h) != self._coordinates:
             self.sync.state = self._true(inner)
@@ -392,5 +392,5 @@ def _checked(flow: Callable[[State, Any], State], check: Callable[[State], Any])
 
 
 def inner_mark(scheme: Scheme, h: float) -> float:
-    """Return a number that identifies the inner coordinates of a scheme at a step size, or 0 if it has no processor."""
+    """Return a number that identifies a scheme's inner coordinates at a step size, or 0 without a processor."""
     return 1.0 + zlib.crc32(repr((scheme.processor, h)).encode()) if scheme.processor else 0.0

@@ -25,7 +25,7 @@ def _declare(integrator: openmm.CustomIntegrator, settings: Settings) -> None:
 def _propagator(
     context: Any, integrator: openmm.CustomIntegrator, settings: Settings, timings: Timings
 ) -> HostPropagator:
-    """Return a propagator for an integrator, and give it the variables of the host if necessary."""
+    """Return a propagator for an integrator, which is first given the variables of the host if necessary."""
     own = (variables.NOTHING, *_marks(settings))
     if not variables.declared(integrator) or integrator.getGlobalVariable(0) not in own:
         program = openmm.CustomIntegrator(0.0)

@@ -8,13 +8,13 @@ from openmm_exactrb.kernels.records import Particles
 
 @inlined
 def orientation(q, body):
-    """Return the entries of the matrix Q of a body, row by row."""
+    """Return the entries of the rotation matrix Q of a body, row by row."""
     return matrix_entries(q[0, body], q[1, body], q[2, body], q[3, body])
 
 
 @inlined
 def turned(Q, b):
-    """Return Q b."""
+    """Return Q b, the vector b of a body turned into space."""
     return (
         Q[0] * b[0] + Q[1] * b[1] + Q[2] * b[2],
         Q[3] * b[0] + Q[4] * b[1] + Q[5] * b[2],

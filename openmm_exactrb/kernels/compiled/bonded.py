@@ -161,7 +161,7 @@ def _add_bonds(x, bonds, of_bonds, out):
         i, j = bonds[n]
         u = difference(x, i, j)
         r = math.sqrt(dot(u, u))
-        if r != 0.0:  # a bond of zero length has no direction; OpenMM has no force there either
+        if r != 0.0:  # a bond of zero length has no direction, and OpenMM applies no force either
             _act(out, i, j, of_bonds[1, n] * (of_bonds[0, n] - r) / r, u)
 
 

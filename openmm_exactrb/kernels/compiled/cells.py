@@ -124,8 +124,8 @@ def _partners(cell, block, heads, placed, m, truncation, found, who):
 def _arithmetic(k, u, work, repulsion, coupling, attraction, minimum, alpha, truncation):
     """Return the energy, force and field of a dipole u with k others, whose forces and fields are written to `work`.
 
-    The rows of `work` are r², the vector r between the two dipoles, and the u, the force and the field of the other
-    dipole.
+    The rows of `work` are r², the vector r between the two dipoles, and the arrow u, the force and the field of the
+    other dipole.
     """
     ux, uy, uz = u
     energy = fx = fy = fz = gx = gy = gz = 0.0

@@ -89,8 +89,8 @@ def spline(order: int) -> Array:
 def influence_function(edges: Edges, alpha: float, points: Points, order: int) -> Array:
     """Return the influence function of the mesh that minimises the errors of the forces on random dipoles.
 
-    It is G k^6 W²/(sum k² W² sum k^4 W²), with sums over all aliases of k, where G is the influence function of the
-    Ewald sum and W the Fourier transform of the spline.
+    The result is G k^6 W²/(sum k² W² sum k^4 W²), with sums over all aliases of k, where G is the influence function of
+    the Ewald sum and W the Fourier transform of the spline.
     """
     k = [2.0 * math.pi / edge * scipy.fft.fftfreq(n, 1.0 / n) for edge, n in zip(edges, points, strict=True)]
     k[2] = k[2][: points[2] // 2 + 1]
@@ -128,7 +128,7 @@ def _places(r, origin, edges, points):
         for i in range(r.shape[1]):
             x = (r[d, i] - origin[d]) * (n / edges[d])
             x -= n * math.floor(x / n)
-            inside = (x >= 0.0) & (x < n)  # false for n by roundoff and for nan
+            inside = (x >= 0.0) & (x < n)  # false for nan, and for n, which roundoff may produce
             base[i, d] = int(x) if inside else 0
             rest[i, d] = x - math.floor(x)
     return base, rest

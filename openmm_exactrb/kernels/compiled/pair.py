@@ -7,7 +7,7 @@ from numpy.polynomial import Chebyshev, Polynomial
 
 from openmm_exactrb.kernels.build import at_first_call, inlined
 
-# Distance in widths of the Gaussian at which a screened dipole ends: exp(-6.5²) is 4e-19.
+# Distance in widths of the Gaussian beyond which a screened dipole is neglected: exp(-6.5²) is 4e-19.
 _FAR = 6.5
 
 
@@ -90,7 +90,7 @@ def pair(r2, uv, ur, vr, repulsion, coupling, attraction, minimum, alpha, trunca
 def truncated(r2, uv, core, slope, energy, a, b, c, coupling, truncation):
     """Add the reaction field to the part of the dipoles, and multiply the parts of dipoles and spheres by switches.
 
-    A switch S(r²) has six continuous derivatives. The energy of the spheres is shifted before it is switched.
+    A switch S(r²) has six continuous derivatives. The energy of the spheres is shifted before the switch is applied.
     """
     _, _, _, _, end, rate, reaction, end_of_core, rate_of_core, shift = truncation
     b -= coupling * reaction

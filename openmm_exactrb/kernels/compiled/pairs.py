@@ -37,10 +37,10 @@ def soft_dipoles(
     """Return the energy and the forces of `potentials.SoftDipoles`, whose `energy_and_forces` describes x and threads.
 
     repulsion, coupling and attraction are 4 epsilon sigma^12, (strength/length)² and 4 epsilon sigma^6. `minimum`
-    contains the squared distance at which the energy of the spheres ends, and the shift of this energy. `truncation`
-    contains, in this order: the edges of the box and the square of the longer cutoff; the squared cutoff of the
-    dipoles, 1/(width of their switch in r²) and the strength of the reaction field; the squared cutoff of the spheres,
-    1/(width of their switch in r²) and the energy that is subtracted from the energy of the spheres.
+    contains the squared distance at which the energy of the spheres is truncated, and the shift of this energy.
+    `truncation` contains, in this order: the edges of the box and the square of the longer cutoff; the squared cutoff
+    of the dipoles, 1/(width of their switch in r²) and the strength of the reaction field; the squared cutoff of the
+    spheres, 1/(width of their switch in r²) and the energy that is subtracted from the energy of the spheres.
     """
     if ewald and truncation is None:
         raise ValueError(

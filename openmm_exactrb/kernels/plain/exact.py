@@ -9,8 +9,8 @@ With moments of inertia I1 <= I2 <= I3, x = m/G, G = norm(m), time s = b G t and
     b = (I3 - I1)/(I1 I3),  rho = I3 (I2 - I1)/(I2 (I3 - I1)),  sigma = 1 - rho = I1 (I3 - I2)/(I2 (I3 - I1)),
 
 Euler's equations read x1' = -sigma x2 x3, x2' = x3 x1, x3' = -rho x1 x2. They are invariant under the exchange of axes
-1 and 3 together with rho and sigma, so one formula serves both families of orbits. It is written in y = (x_l, x2, x_j),
-where j is the axis that the momentum circles: 3 if S = rho x1² - sigma x3² < 0, and 1 otherwise (S = 0 is the
+1 and 3 together with rho and sigma, so one formula serves both families of orbits. The formula is written in y = (x_l,
+x2, x_j), where j is the axis that the momentum circles: 3 if S = rho x1² - sigma x3² < 0, and 1 otherwise (S = 0 is the
 separatrix). Then (r, s) is (sigma, rho) for j = 3, and (rho, sigma) for j = 1. A rotation by pi about axis 2 ensures
 that y3 >= 0.
 

@@ -18,7 +18,7 @@ _ALL = 0xFFFFFFFF
 
 @dataclass(frozen=True)
 class GroupsKick(Substep):
-    """A kick by the forces of several force groups, given as bits."""
+    """A kick by the forces of several force groups, given as a bit mask."""
 
     groups: int
 
@@ -60,7 +60,7 @@ class Evaluated(NamedTuple):
         return replace(scheme, sequence=sequence, processor=processor, output=output)
 
     def rows(self, sequence: Sequence) -> Sequence:
-        """Return the rows of a sequence with inner steps and with separate kicks by the fast and the slow forces.
+        """Return a sequence with inner steps for its drifts, and with separate kicks by the fast and the slow forces.
 
         Where a fast and a slow kick meet, the fast kick comes first. At the start of the sequence the slow kick comes
         first, because the previous step may have ended with a slow kick.

@@ -128,7 +128,7 @@ class FlexiblePart:
         return Launch(self._source, "inner_steps", THREADS * len(self.blocks), arguments, THREADS)
 
     def reductions(self, copied: bool, adds: bool) -> list[Operation]:
-        """Return operations that project velocities and write the kinetic energy to "totals" or, if `adds`, add it."""
+        """Return operations that project velocities and write (or, if `adds`, add) the kinetic energy to "totals"."""
         x, v = self.state(copied)
         threads, sums = min(self.n, BLOCK * GROUPS), "flexible_kinetic"
         kinetic = Launch(self._source, "flexible_kinetic", threads, ("flexible_inverse", x, v, sums), BLOCK)
@@ -136,7 +136,7 @@ class FlexiblePart:
         return [self._launch((0, 0), _PROJECTS, (x, x, v)), kinetic, total]
 
     def pushed(self, copied: bool, to_copy: bool) -> list[Operation]:
-        """Return operations that add the change of the Context's velocities since state(copied) to state(to_copy)."""
+        """Return operations that add to state(to_copy) the change of the Context's velocities since state(copied)."""
         states = self.state(copied)[1], self.state(to_copy)[1]
         return [Launch(self._source, "flexible_pushed", self.n, ("velm", "places", "flexible_atoms", *states))]
 
