@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
+
+import numpy as np
 
 from openmm_exactrb.engines.device.flexible.evaluated import Evaluated
 from openmm_exactrb.engines.device.flexible.part import Flexible, FlexiblePart
@@ -43,17 +45,17 @@ class Assembly:
         updates: Any,
         sites: bool,
         factors: Factors | None = None,
-        flexible: Flexible | None = None,
+        flexible: Sequence[Flexible] = (),
         evaluated: Evaluated | None = None,
     ) -> None:
         self.scheme, processed = scheme, bool(scheme.processor)
-        late = flexible is not None and flexible.molecules.late
+        late = any(some.molecules.late for some in flexible)
         rows = canonical_momenta(scheme.sequence) if late else scheme.sequence
         ahead = up_to_kick(rows)
         if evaluated is not None:
             scheme = evaluated.within(scheme)
             rows, ahead = evaluated.rows(rows), evaluated.rows(ahead)
-        inner = None if flexible is None else flexible.molecules.inner
+        inner = next((some.molecules.inner for some in flexible if some.molecules.inner), None)
         moves = [move for row in rows for move in of_substep(*row)]
         drifts = [move.part for move in moves if move.op == Op.DRIFT and move.bodies != "others"]
         kicks = ALL if evaluated is None else evaluated.slow
@@ -73,8 +75,9 @@ class Assembly:
             own,
         )
         self.table = Table(own)
-        molecules = [] if flexible is None else [FlexiblePart(*flexible, demands)]
-        others = molecules[0].bodies if molecules else None
+        prefixes = "flexible_", "constrained_"
+        molecules = [FlexiblePart(some, demands, prefix) for some, prefix in zip(flexible, prefixes, strict=False)]
+        others = np.concatenate([np.zeros(0, int), *(part.bodies for part in molecules)])
         self.parts: list[RigidPart | FlexiblePart] = [*molecules, *parts_of(bodies, demands, others)]
         self.program = to = Program()
         to.scalars |= {"turn": 0.0, "key": 0.0}

@@ -79,12 +79,28 @@ class DevicePropagator:
         return self._served.evaluated is None
 
     def energy_at_exchange(self, version: object, settings: Callable[[], Any]) -> float:
-        """Return the total energy (kJ/mol) at the last heat exchange of a step whose drifts contain no fast forces."""
+        """Return the total energy (kJ/mol) at the last heat exchange.
+
+        Raises
+        ------
+        ValueError
+            If OpenMM evaluates fast forces in drifts after the exchange.
+        """
         self.sync.pull()
-        bodies, state, of = self.sync.bodies, self.sync.state, settings()
-        drift = free_motion(bodies, of.rotor).drift
-        for _, part in inverse(behind_exchange(of.scheme.sequence)):
+        bodies, of = self.sync.bodies, settings()
+        behind = behind_exchange(of.scheme.sequence)
+        if behind and (evaluated := self._served.evaluated) is not None:
+            raise ValueError(
+                f"the device has no kernel for {evaluated.what}, which the energy at the heat exchange of "
+                f"{of.outer.name} needs: use engine='host'"
+            )
+        drift, state = free_motion(bodies, of.rotor).drift, self.sync.state
+        for _, part in inverse(behind):
             state = drift(state, part * of.h)
+        if any(molecules.late for molecules in self._served.molecules):  # their steps end at the exchange
+            assert self._fast is not None and self._fast.excerpt is not None
+            nested = self._fast.excerpt.part
+            state = nested.into(state, nested.of(self.sync.state))
         try:
             potential = ContextForces(self.sync.positions, of.groups, self._timings).energy_at(state)
         finally:
@@ -114,11 +130,10 @@ class DevicePropagator:
         self.device["interval"], self.device["removal"] = self.updates.period, self.updates.removal
 
     @property
-    def _flexible(self) -> Flexible | None:
+    def _flexible(self) -> list[Flexible]:
         """The flexible molecules; fast forces are in double precision if the platform uses it for all forces."""
-        molecules = self._served.molecules
         precision = np.float64 if platforms.precision(self.sync.context) == "double" else np.float32
-        return None if molecules is None else Flexible(molecules, self.sync.particles, precision)
+        return [Flexible(molecules, self.sync.particles, precision) for molecules in self._served.molecules]
 
     @property
     def _processed(self) -> bool:

@@ -55,7 +55,7 @@ def _unsupported_in(context: Any, settings: Settings) -> str | None:
         return str(error)
     if evaluated is not None and settings.scheme.has_gradients:
         return f"the device has no kernel for {evaluated.what}, which the force gradients of {settings.outer.name} need"
-    return None if molecules is None else _unsupported_beside_molecules(settings)
+    return _unsupported_beside_molecules(settings) if molecules else None
 
 
 def _unsupported_beside_molecules(settings: Settings) -> str | None:

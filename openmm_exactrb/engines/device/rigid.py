@@ -67,10 +67,10 @@ class Demands:
     own: tuple[str, ...] = ()
 
 
-def parts_of(bodies: RigidBodies, demands: Demands, others: Indices | None = None) -> list[RigidPart]:
+def parts_of(bodies: RigidBodies, demands: Demands, others: Indices) -> list[RigidPart]:
     """Return the parts of a program for all bodies except `others` (k,): one each for small and for large bodies."""
     chosen = np.ones(len(bodies), dtype=bool)
-    chosen[[] if others is None else others] = False
+    chosen[others] = False
     small = [kind for kind in bodies.kinds if kind.particles.shape[1] <= LARGE]
     large = [kind for kind in bodies.kinds if kind.particles.shape[1] > LARGE]
     made = (RigidPart(bodies, small, chosen, demands), RigidPart(bodies, large, chosen, demands, "large_", LANES))

@@ -9,7 +9,7 @@ from on_device import device_platform
 from openmm_exactrb.engines.device.flexible import blocks
 from openmm_exactrb.engines.device.flexible.blocks import Group
 from openmm_exactrb.engines.device.flexible.molecules import Molecules
-from openmm_exactrb.engines.device.flexible.part import FlexiblePart
+from openmm_exactrb.engines.device.flexible.part import Flexible, FlexiblePart
 from openmm_exactrb.engines.device.library import Device, library
 from openmm_exactrb.engines.device.program import Program
 from openmm_exactrb.engines.device.rigid import Demands
@@ -34,7 +34,7 @@ class Kicks:
         single = Group(np.arange(ALL)[:, None], np.zeros((0, 2), dtype=np.int64), np.zeros(0))
         molecules = Molecules([single], np.ones(ALL), np.arange(ALL), terms_in(self.system))
         self.part, table, program = (
-            FlexiblePart(molecules, np.zeros((ALL, 3)), precision, Demands()),
+            FlexiblePart(Flexible(molecules, np.zeros((ALL, 3)), precision), Demands(), "flexible_"),
             Table(),
             Program(),
         )

@@ -77,6 +77,26 @@ def test_blocks_with_terms_in_common_move_as_one(scheme, friction, monkeypatch):
     assert len(flexible.blocks) > 3
 
 
+@pytest.mark.parametrize("scheme", ["S2_2", "BAOA", "W2_3m"])
+def test_clusters_without_bonded_forces_end_their_steps_as_on_the_host(scheme):
+    """Beside a chain with inner steps, which ends a step of BAOA and W2_3m at the heat exchange."""
+    system, x = openmm.System(), [[0.15 * k, 0.0, 0.02 * (k % 2)] for k in range(4)]
+    bonds, trap = openmm.HarmonicBondForce(), openmm.CustomExternalForce("500*(x^2+2*y^2+3*z^2)")
+    x += [[0.0, 1.0, 0.0], [0.1, 1.0, 0.0], [0.0, 1.1, 0.0], [0.0, 1.0, 0.1], [0.0, 2.0, 0.0], [0.0, 2.0, 0.12]]
+    for mass in (12.0,) * 4 + (14.0, 1.0, 1.0, 1.0) + (14.0, 16.0):
+        trap.addParticle(system.addParticle(mass))
+    for k in range(3):
+        bonds.addBond(k, k + 1, 0.15, 2e5)
+        system.addConstraint(4, 5 + k, 0.1)
+    system.addConstraint(8, 9, 0.12)
+    for force in (bonds, trap):
+        system.addForce(force)
+    distance, device = moved((None, system, np.array(x)), nested(scheme, 0.002, friction=0.0), n=10)
+    assert distance < DOUBLE
+    parts = [part for part in device.getIntegrator()._propagator._assembly.parts if hasattr(part, "blocks")]  # noqa: SLF001
+    assert [part.n for part in parts] == [4, 6]
+
+
 def test_mixed_precision_keeps_lengths_to_roundoff():
     distance, device = moved(in_water(waters=30), nested("S2_2", 0.004), precision="mixed")
     assert distance < MIXED
@@ -172,6 +192,23 @@ def test_averages_with_fast_groups_without_a_kernel_are_not_corrected(tmp_path):
     simulation.context.setPositions(x)
     with pytest.warns(UserWarning, match="no kernel for"), pytest.raises(ValueError, match="use engine='host'"):
         rb.AverageReporter(tmp_path / "frames.csv", 1).describeNextReport(simulation)
+
+
+def test_the_balance_with_fast_groups_without_a_kernel_is_refused_where_drifts_end_a_step():
+    _, system, x = in_water("HBonds", 30)
+    system.addForce(tether(0, 9))
+    assert rb.separate_bonded(system) == 1
+    for scheme in ("BAOAB", "BAOA"):
+        integrator = rb.ExactRigidBodyRescalingIntegrator(300.0, 0.1, 0.002, scheme, engine="device", fast=(1,))
+        context = openmm.Context(copy.deepcopy(system), integrator, device_platform())
+        context.setPositions(x)
+        with pytest.warns(UserWarning, match="no kernel for"):
+            integrator.step(1)
+        if scheme == "BAOAB":
+            assert np.isfinite(integrator.effectiveEnergy()._value)
+        else:
+            with pytest.raises(ValueError, match="which the energy at the heat exchange of BAOA needs"):
+                integrator.effectiveEnergy()
 
 
 def refusal(system, x, **options):

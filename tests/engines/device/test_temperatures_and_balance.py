@@ -4,6 +4,7 @@ import pytest
 from zoo import every_kind, pair, water
 
 import openmm_exactrb as rb
+from peptides import in_water
 
 pytestmark = pytest.mark.opencl
 
@@ -35,6 +36,21 @@ def test_the_balance_of_rescaling_is_that_of_the_host(scheme):
     for integrator in (host, device):
         integrator.step(1)
     assert device.totalEnergy()._value == pytest.approx(host.totalEnergy()._value, rel=1e-8)
+
+
+@pytest.mark.parametrize("scheme", ["BAOAB", "BAOA", "W2_3m"])
+def test_the_balance_with_inner_steps_is_that_of_the_host(scheme):
+    def make(engine):
+        integrator = rb.ExactRigidBodyRescalingIntegrator(300.0, 0.1, 0.002, scheme, fast="bonded", engine=engine)
+        integrator.setRandomNumberSeed(11)
+        return integrator
+
+    _, system, x = in_water(waters=30)
+    contexts = pair(system, x, make)
+    host, device = (context.getIntegrator() for context in contexts)
+    for integrator in (host, device):
+        integrator.step(7)
+    assert device.effectiveEnergy()._value == pytest.approx(host.effectiveEnergy()._value, rel=1e-8)
 
 
 def test_friction_has_no_balance_there():

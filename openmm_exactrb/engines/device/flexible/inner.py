@@ -33,12 +33,13 @@ class InnerSteps:
 
 
 def moves_of(segment: Segment, inner: InnerSteps | None) -> Moves:
-    """Return the moves of a segment for flexible molecules.
+    """Return the moves of a segment for flexible molecules with the given inner steps, or without.
 
     If a segment `leaves` the last fast kick of its last drift, this kick is due in the next segment, which needs the
     fast forces at the same positions.
     """
-    moves = [move for move in segment.moves if move.op != Op.DRIFT or move.bodies != "others"]
+    not_theirs = "inner" if inner is None else "others"
+    moves = [move for move in segment.moves if move.op != Op.DRIFT or move.bodies != not_theirs]
     if inner is None:
         return merged(moves)
     due = inner.within(Move(Op.DRIFT, segment.behind))[-1:] if segment.behind else ()

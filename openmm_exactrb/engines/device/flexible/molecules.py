@@ -35,7 +35,7 @@ class NotServedError(Exception):
 
 @dataclass(frozen=True)
 class Molecules:
-    """The flexible molecules of a System: clusters, masses, bodies and fast forces.
+    """Flexible molecules of a System: clusters, masses, bodies and fast forces.
 
     Attributes
     ----------
@@ -63,9 +63,9 @@ class Molecules:
 
 
 class Served(NamedTuple):
-    """The flexible molecules that kernels support, and the fast forces that OpenMM evaluates in inner steps."""
+    """The flexible molecules with and without fast forces, and the fast forces that OpenMM evaluates in inner steps."""
 
-    molecules: Molecules | None
+    molecules: tuple[Molecules, ...]
     evaluated: Evaluated | None = None
 
 
@@ -122,7 +122,7 @@ def served(system: openmm.System, bodies: RigidBodies, fast: FastForces | None, 
     scheme, h = settings.splitting, settings.h
     masses = parameters.masses(system)
     clusters = [Group(kind.particles, kind.pairs, kind.lengths) for kind in bodies.clusters.kinds]
-    without_terms = Molecules(clusters, masses, bodies.owner) if clusters else None
+    without_terms = (Molecules(clusters, masses, bodies.owner),) if clusters else ()
     if fast is None or not fast.acts(scheme, h):
         return Served(without_terms)
     repetitions = fast.repetitions(scheme, h)
@@ -138,11 +138,19 @@ def served(system: openmm.System, bodies: RigidBodies, fast: FastForces | None, 
     if excerpt is None:
         return Served(without_terms)
     single = np.setdiff1d(excerpt.particles, bodies.clusters.particles)
-    groups = [*clusters, Group(single[:, None], np.zeros((0, 2), dtype=np.int64), np.zeros(0))]
+    groups = [*_chosen(clusters, excerpt.particles, True), Group(single[:, None], np.zeros((0, 2), int), np.zeros(0))]
+    without = _chosen(clusters, excerpt.particles, False)
     late, terms = fast.excerpt is not None, terms_of(excerpt.forces, settings.groups)
     assert terms is not None  # the kernels support all fast forces here
     _require_room(terms)
-    return Served(Molecules(groups, masses, bodies.owner, terms, inner, late))
+    with_terms = Molecules(groups, masses, bodies.owner, terms, inner, late)
+    return Served((with_terms, *([Molecules(without, masses, bodies.owner)] if without else [])))
+
+
+def _chosen(groups: Sequence[Group], particles: Indices, wanted: bool) -> list[Group]:
+    """Return the clusters with (or, unless `wanted`, without) fast forces, which act on the given particles."""
+    some = [(group, np.isin(group.particles, particles).any(axis=1) == wanted) for group in groups]
+    return [group._replace(particles=group.particles[chosen]) for group, chosen in some if chosen.any()]
 
 
 def _require_small_clusters(bodies: RigidBodies) -> None:

@@ -47,13 +47,11 @@ class Flexible(NamedTuple):
 
 
 class FlexiblePart:
-    """The part of a program for flexible molecules; all arguments except `demands` are the fields of `Flexible`."""
+    """The part of a program for flexible molecules, with a prefix for array names."""
 
-    def __init__(
-        self, molecules: Molecules, particles: Array, precision: type[np.floating[Any]], demands: Demands
-    ) -> None:
-        self._particles = particles
-        self._inner, self._demands = molecules.inner, demands
+    def __init__(self, flexible: Flexible, demands: Demands, prefix: str) -> None:
+        molecules, self._particles, precision = flexible
+        self._molecules, self._demands, self._prefix = molecules, demands, prefix
         self.blocks = blocks_of(molecules.groups, tables.particles(molecules.terms), len(molecules.masses))
         self._precision, self._masses, self._body_of = precision, molecules.masses, molecules.body_of
         self._of_clusters, of_clusters = constraints.arrays(self.blocks)
@@ -76,7 +74,7 @@ class FlexiblePart:
     def state(self, copied: bool) -> tuple[str, str]:
         """Return the names of the arrays of a state: positions and velocities."""
         inner = "inner_" if self._demands.copied and not copied else ""
-        return f"flexible_{inner}x", f"flexible_{inner}v"
+        return f"{self._prefix}{inner}x", f"{self._prefix}{inner}v"
 
     # -- declarations and launches ---------------------------------------------------------------------------------
 
@@ -88,13 +86,13 @@ class FlexiblePart:
             for name in self.state(copied):
                 to.array(name, 3 * self.n, saved=True)
         for name in ("y", "z"):
-            to.array(f"flexible_{name}", 3 * self.n * self._open)
-        to.array("flexible_memory", 3 * self.n * self._demands.memory[0], saved=True)
-        to.array("flexible_kinetic", 3 * GROUPS)
+            to.array(f"{self._prefix}{name}", 3 * self.n * self._open)
+        to.array(f"{self._prefix}memory", 3 * self.n * self._demands.memory[0], saved=True)
+        to.array(f"{self._prefix}kinetic", 3 * GROUPS)
 
     def launches(self, segment: Segment, table: Table) -> list[Operation]:
         """Return the launches of a segment: a single launch, or one for each drift if blocks share terms."""
-        moves = moves_of(segment, self._inner)
+        moves = moves_of(segment, self._molecules.inner)
         x, v = self.state(segment.copied)
         parts = (self._open and up_to_drifts(moves)) or [moves]
         last_drift = max((k for k, part in enumerate(parts) if _drifts(part)), default=-1)
@@ -111,18 +109,18 @@ class FlexiblePart:
             made.append(copy(here, x))
         return made
 
-    @staticmethod
-    def _next(here: str, x: str, last: bool) -> str:
+    def _next(self, here: str, x: str, last: bool) -> str:
         """Return the name of the array for the positions after a drift from the positions in array `here`."""
         if last and here != x:
             return x
-        return "flexible_z" if here == "flexible_y" else "flexible_y"
+        y, z = f"{self._prefix}y", f"{self._prefix}z"
+        return z if here == y else y
 
     def _launch(self, rows: tuple[int, int], what: int, state: tuple[str, ...]) -> Launch:
         arguments: tuple[str | int, ...] = (
             *_CONTEXT,
             *state,
-            *(f"flexible_{name}" for name in ("memory", *_ATOMS, *_TABLES)),
+            *(f"{self._prefix}{name}" for name in ("memory", *_ATOMS, *_TABLES)),
             *(Table.MOVES, Table.NUMBERS, "factors", *rows, what, "#step", "$key", "$turn"),
         )
         return Launch(self._source, "inner_steps", THREADS * len(self.blocks), arguments, THREADS)
@@ -130,19 +128,19 @@ class FlexiblePart:
     def reductions(self, copied: bool, adds: bool) -> list[Operation]:
         """Return operations that project velocities and write (or, if `adds`, add) the kinetic energy to "totals"."""
         x, v = self.state(copied)
-        threads, sums = min(self.n, BLOCK * GROUPS), "flexible_kinetic"
-        kinetic = Launch(self._source, "flexible_kinetic", threads, ("flexible_inverse", x, v, sums), BLOCK)
+        threads, sums, inverse = min(self.n, BLOCK * GROUPS), f"{self._prefix}kinetic", f"{self._prefix}inverse"
+        kinetic = Launch(self._source, "flexible_kinetic", threads, (inverse, x, v, sums), BLOCK)
         total = Launch(self._source, "total", BLOCK, (sums, "totals", int(adds)), BLOCK)
         return [self._launch((0, 0), _PROJECTS, (x, x, v)), kinetic, total]
 
     def pushed(self, copied: bool, to_copy: bool) -> list[Operation]:
         """Return operations that add to state(to_copy) the change of the Context's velocities since state(copied)."""
         states = self.state(copied)[1], self.state(to_copy)[1]
-        return [Launch(self._source, "flexible_pushed", self.n, ("velm", "places", "flexible_atoms", *states))]
+        return [Launch(self._source, "flexible_pushed", self.n, ("velm", "places", f"{self._prefix}atoms", *states))]
 
     def moved(self, copied: bool) -> list[Operation]:
         """Return the operations that read positions changed by OpenMM."""
-        arguments = "posq", "posqCorrection", "places", "box", "flexible_atoms", self.state(copied)[0]
+        arguments = "posq", "posqCorrection", "places", "box", f"{self._prefix}atoms", self.state(copied)[0]
         return [Launch(self._source, "flexible_moved", self.n, arguments)]
 
     # -- values ------------------------------------------------------------------------------------------------------
@@ -156,7 +154,8 @@ class FlexiblePart:
         }
         every = of_atoms | self._of_clusters | self._of_terms
         return {
-            f"flexible_{name}": values if values.size else np.zeros(1, values.dtype) for name, values in every.items()
+            f"{self._prefix}{name}": values if values.size else np.zeros(1, values.dtype)
+            for name, values in every.items()
         }
 
     def write(self, device: Device, state: BodyState, copied: bool = False) -> None:
@@ -177,7 +176,7 @@ class FlexiblePart:
 
     def flag(self, device: Device, flexible: NDArray[np.bool_]) -> None:
         """Write the flags (N,) of bodies in flexible molecules, but not of isolated pairs of atoms, to the device."""
-        device.upload("flexible_bodies", self._bodies(flexible[self.columns] & (self.columns >= 0)))
+        device.upload(f"{self._prefix}bodies", self._bodies(flexible[self.columns] & (self.columns >= 0)))
 
     def _bodies(self, flexible: NDArray[np.bool_]) -> NDArray[np.int32]:
         """Return the index of the body of each atom, and whether the atom is in a flexible molecule (2, n)."""
