@@ -41,7 +41,9 @@ UNITS = {
     "density": "kg/m³",
     "enthalpy": "kJ/mol",
     "compressibility": "10⁻⁶/bar",
+    "thermal expansion": "10⁻⁴/K",
 }
+SCALES = {"compressibility": 1e6, "thermal expansion": 1e4}
 OF_BOX = "potential energy", "enthalpy"
 NAMES, PARTS = tuple(UNITS), ("", " corrected", " error", " correction error")
 OFFSET, OFFSET_ERROR = "pressure offset", "pressure offset error"
@@ -96,7 +98,7 @@ def row_of(run: dict[str, Any], file: Path) -> dict[str, Any]:
         else:
             found = rb.corrected(file, name, pressure=1.0 if run["ensemble"] == "NPT" else None)
             values = found.mean - found.correction, found.mean, found.error, found.correction_error
-            scale = 1.0 / run["molecules"] if name in OF_BOX else 1e6 if name == "compressibility" else 1.0
+            scale = 1.0 / run["molecules"] if name in OF_BOX else SCALES.get(name, 1.0)
             values = tuple(scale * value for value in values)
         columns = (f"{name}{part}" for part in PARTS)
         row |= dict(zip(columns, (f"{value:.6g}" for value in values), strict=True))

@@ -65,7 +65,7 @@ def energy_balances() -> str:
 
 
 def averages() -> str:
-    """Return averages of W2_3m at long steps, the means over seeds, as they are and corrected.
+    """Return averages of W2_3m at long steps, the means over seeds by length, as they are and corrected.
 
     References are the means over all steps of corrected_water.py.
     """
@@ -76,11 +76,12 @@ def averages() -> str:
     for (model, masses, _, fs, ensemble), some in groups.items():
         held = "constant volume" if ensemble == "NVT" else "1 bar, with offset" if masses == "heavy" else "1 bar"
         of_run = f"{NAMES[model]}, {masses} hydrogens", f"{float(fs):g} fs, {held}"
-        length = sum(float(row["ps"]) for row in some)
+        times = np.array([float(row["ps"]) for row in some])
+        # Not by estimated errors, which are small where a fluctuation happens to be small.
+        weights, length = times / times.sum(), times.sum()
         for name in UNITS:
             values = np.array([[float(row[f"{name}{part}"]) for part in PARTS] for row in some])
             if np.isfinite(values).all():
-                weights = values[:, 2] ** -2.0 / (values[:, 2] ** -2.0).sum()
                 plain, after, _, _ = weights @ values
                 error, of_correction = np.sqrt(weights**2 @ values[:, 2:] ** 2)
                 digits = max(0, 1 - math.floor(math.log10(error)))

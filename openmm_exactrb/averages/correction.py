@@ -41,10 +41,11 @@ import openmm
 from numpy.typing import ArrayLike
 from openmm import unit
 
-from openmm_exactrb.averages.estimators import Columns, Sampled, given, named, pressure_of
+from openmm_exactrb.averages.estimators import FRAME, READY, Columns, Sampled, given, named, pressure_of
 from openmm_exactrb.averages.frames import BAR
 from openmm_exactrb.averages.record import Settings, read
 from openmm_exactrb.openmm_access.units import plain
+from openmm_exactrb.support import checks
 from openmm_exactrb.support.types import Array
 
 # The number of blocks of the jackknife, and the smallest number of frames.
@@ -101,6 +102,7 @@ class PressureOffset:
     def barostat(self, pressure: float | unit.Quantity, frequency: int = 25) -> openmm.MonteCarloBarostat:
         """Return a barostat that samples the density of zero step size at a pressure, in bar if it has no unit."""
         wanted = plain(pressure, unit.bar, "a pressure")
+        frequency = checks.whole(frequency, "frequency", of="steps")
         return openmm.MonteCarloBarostat((wanted + self.bar) * unit.bar, self.temperature * unit.kelvin, frequency)
 
 
@@ -143,6 +145,10 @@ def corrected(
         If the file lacks data that the correction needs, or the theory does not apply to the run.
     """
     settings, columns = _checked(file)
+    if isinstance(observable, str) and slope is not None:
+        raise ValueError(f"the slope of {observable!r} is in the file: omit slope=, or give one value for each frame")
+    if checks.switch(local, "local") and isinstance(observable, str) and observable in READY:
+        raise ValueError(f"the {observable} depends on all particles: omit local=")
     excess = 0.0
     if pressure is not None:
         if not settings.barostat:
@@ -278,4 +284,4 @@ def _checked(file: str | os.PathLike[str]) -> tuple[Settings, Columns]:
     frames = len(columns["step"])
     if frames < _FEWEST:
         raise ValueError(f"{file} has {frames} frames, but error estimates need at least {_FEWEST}: run longer")
-    return settings, columns
+    return settings, columns | {FRAME: np.arange(float(frames))}

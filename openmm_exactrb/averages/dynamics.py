@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from openmm import unit
 
 from openmm_exactrb.averages.chord import Chords
+from openmm_exactrb.context.synchronisation import watch
 from openmm_exactrb.context.updates import ContextUpdates, warn_of_removed_motion
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
@@ -144,7 +145,12 @@ def _of_this_package(simulation: Any, frictions: tuple[float, ...]) -> Dynamics:
         damping=_damping(thermostat, bodies, in_flexible_molecules(context, bodies, integrator.getNamedBodies())),
         fast=fast,
         chords=None,
-        changing=lambda: (integrator.getStepSize()._value, integrator.getThermostat(), integrator.getScheme()),
+        changing=lambda: (
+            integrator.getStepSize()._value,
+            integrator.getThermostat(),
+            integrator.getScheme(),
+            integrator.bodyState()[0] is bodies,  # not after context.reinitialize()
+        ),
     )
 
 
@@ -156,6 +162,8 @@ def _of_openmm(simulation: Any, frictions: tuple[float, ...]) -> Dynamics:
     warn_of_removed_motion(system)
     x = arrays.positions(context.getState(positions=True))
     bodies = find_bodies(system, x, box=arrays.periodic_box(context))
+    renewed: list[bool] = []
+    watch(context, "reinitialize", after=lambda: renewed.append(True))
     removed = 3 * any(isinstance(force, openmm.CMMotionRemover) for force in system.getForces())
     return Dynamics(
         scheme="LangevinMiddle",
@@ -170,7 +178,12 @@ def _of_openmm(simulation: Any, frictions: tuple[float, ...]) -> Dynamics:
         damping=(np.ones(len(bodies)), np.ones(bodies.n_turning)),
         fast=None,
         chords=Chords(bodies, parameters.constraints(system)[0], x),
-        changing=lambda: (integrator.getStepSize(), integrator.getTemperature(), integrator.getFriction()),
+        changing=lambda: (
+            integrator.getStepSize(),
+            integrator.getTemperature(),
+            integrator.getFriction(),
+            len(renewed),
+        ),
     )
 
 

@@ -25,6 +25,8 @@ class Sampled(NamedTuple):
 
 
 Columns = dict[str, Array]
+#: The name of the column with the numbers of the frames, which no file contains.
+FRAME = "frame"
 #: A value, and an observable whose average has the same step-size error.
 Estimate = tuple[float, Sampled]
 
@@ -33,10 +35,10 @@ def named(settings: Settings, name: str) -> Callable[[Columns], Estimate]:
     """Return the estimator of a named observable."""
     if name in settings.observables:
         return lambda columns: _mean(columns[name], columns[f"{name} slope"], columns[f"{name} inner slope"])
-    if name not in _READY:
-        known = ", ".join([*_READY, *settings.observables])
+    if name not in READY:
+        known = ", ".join([*READY, *settings.observables])
         raise ValueError(f"unknown observable {name!r}: choose one of {known}, or give one value for each frame")
-    needs, ensemble, of = _READY[name]
+    needs, ensemble, of = READY[name]
     if ensemble == "constant pressure" and not settings.barostat:
         raise ValueError(f"the {name} needs a run at constant pressure: add a MonteCarloBarostat to the System")
 
@@ -50,7 +52,7 @@ def named(settings: Settings, name: str) -> Callable[[Columns], Estimate]:
 
 def given(values: Any, slope: Any, columns: Columns) -> Callable[[Columns], Estimate]:
     """Return the estimator of a user's values for each frame."""
-    frames = len(columns["step"])
+    frames = len(columns[FRAME])
     array = checks.array(values, "values", "a number for each frame")
     given = [0.0, 0.0] if slope is None else list(slope) if np.ndim(slope) == 2 else [slope, np.zeros(frames)]
     slopes = [checks.array(s, "slope", "a number for each frame, or two of them") for s in given]
@@ -60,10 +62,9 @@ def given(values: Any, slope: Any, columns: Columns) -> Callable[[Columns], Esti
             f"observable and slope must have one finite number for each of the {frames} frames of the file"
         )
     slopes = [np.broadcast_to(s, (frames,)) for s in slopes]
-    steps = columns["step"]
 
     def estimate(some: Columns) -> Estimate:
-        chosen = np.isin(steps, some["step"])
+        chosen = some[FRAME].astype(int)
         return _mean(array[chosen], *(s[chosen] for s in slopes))
 
     return estimate
@@ -131,7 +132,7 @@ def _expansion(settings: Settings, columns: Columns) -> Estimate:
     return float(scale * product.mean()), of
 
 
-_READY = {
+READY = {
     "potential energy": ("potential", "any", _potential),
     "pressure": ("pressure", "any", pressure_of),
     "volume": ("volume", "constant pressure", _volume),

@@ -6,7 +6,10 @@ the forces in the kicks. The slopes of observables are their derivatives along t
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from numbers import Real
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -75,8 +78,9 @@ class Frames:
         fields = [self._field(of_bodies, slow, chosen) for chosen in (~self._inner, self._inner)]
         if self._scaled is not None:
             values += self._scaled.pressure(state, of_bodies, total, fields, self._generalised)
-        for observable in observables.values():
-            values += [float(observable(x)), *(_slope(observable, x, field.particles) for field in fields)]
+        for name, observable in observables.items():
+            value = partial(_value, name, observable)
+            values += [value(x), *(_slope(value, x, field.particles) for field in fields)]
         return values
 
     def _generalised(self, state: BodyState, forces: Array) -> Force:
@@ -131,6 +135,16 @@ def _sum(product: Force, weights: tuple[Array, Array] | None = None) -> float:
     if weights is None:
         return float(product.force.sum() + product.torque.sum())
     return float(product.force @ weights[0] + product.torque @ weights[1])
+
+
+def _value(name: str, observable: Observable, x: Array) -> float:
+    """Return the value of a user's observable, which may change its argument."""
+    value = observable(x.copy())
+    if np.ndim(value) or not isinstance(value, Real | np.bool_) or not np.isfinite(value):
+        raise ValueError(
+            f"the observable {name!r} must return one finite number without a unit, not {reprlib.repr(value)}"
+        )
+    return float(value)
 
 
 def _slope(observable: Observable, x: Array, field: Array) -> float:

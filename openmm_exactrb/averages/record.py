@@ -6,6 +6,7 @@ import json
 import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -49,6 +50,12 @@ class Settings:
         Names of the user's observables.
     chords : bool, optional
         Whether drifts follow chords, as in `openmm_exactrb.averages.chord`.
+    interval : int, optional
+        Number of steps between two frames.
+    around : tuple of float, optional
+        The distance in nm, followed by the particles, of the argument `around` of the reporter.
+    system : str, optional
+        A hash of the System, without the seeds of its forces; empty if OpenMM cannot serialise the System.
     """
 
     scheme: str
@@ -67,6 +74,21 @@ class Settings:
     pressure: float = 0.0
     observables: tuple[str, ...] = ()
     chords: bool = False
+    interval: int = 0
+    around: tuple[float, ...] = ()
+    system: str = ""
+
+
+#: The names of the columns that a file may contain in addition to those of the user's observables.
+COLUMNS = (
+    *("step", "time", "potential", "volume", "square", "inner square", "work", "inner work", "damped work", "chord"),
+    *("square around", "pressure", "pressure slope", "pressure inner slope", "frame"),
+)
+
+
+def of_observable(name: str) -> tuple[str, str, str]:
+    """Return the names of the columns of a user's observable: its values, and its slopes."""
+    return name, f"{name} slope", f"{name} inner slope"
 
 
 def columns_of(settings: Settings, pressure: bool, around: bool) -> tuple[str, ...]:
@@ -78,7 +100,8 @@ def columns_of(settings: Settings, pressure: bool, around: bool) -> tuple[str, .
     names += ["square around (kJ/mol/ps^2)"] * around
     names += ["pressure (bar)", "pressure slope (bar/ps^2)", "pressure inner slope (bar/ps^2)"] * pressure
     for name in settings.observables:
-        names += [name, f"{name} slope (1/ps^2)", f"{name} inner slope (1/ps^2)"]
+        value, *slopes = of_observable(name)
+        names += [value, *(f"{slope} (1/ps^2)" for slope in slopes)]
     return tuple(names)
 
 
@@ -87,20 +110,47 @@ def head(settings: Settings, columns: tuple[str, ...]) -> str:
     return f"{_MARK}{json.dumps(asdict(settings))}\n{','.join(columns)}\n"
 
 
-def continues(text: str, settings: Settings, columns: tuple[str, ...]) -> bool:
-    """Return whether a file with this text is from a run with these settings and columns."""
-    first, second, *_ = [*text.splitlines(), "", ""]
-    return first.startswith(_MARK) and _settings(first) == settings and second == ",".join(columns)
+def continued(file: Path, step: int, settings: Settings, columns: tuple[str, ...]) -> str:
+    """Return the text of a file whose run continues at a step, without the frames after this step.
+
+    Raises
+    ------
+    ValueError
+        If the file is from a run with other settings, all its frames are after the step, or its last line is
+        incomplete.
+    """
+    text = file.read_text(encoding="utf-8")
+    first, second, *rows = [*text.splitlines(keepends=True), "", ""]
+    if _settings(first) != settings or second.strip() != ",".join(columns):
+        raise ValueError(f"{file} belongs to a run with other settings: give the AverageReporter another file")
+    if not text.endswith("\n"):
+        raise ValueError(f"{file} ends with an incomplete line: delete this line, or give another file")
+    kept = [row for row in rows if row and int(row.split(",")[0]) <= step]
+    if not kept and any(rows):
+        raise ValueError(
+            f"all frames in {file} are after step {step}, at which this run begins: load the State in which the "
+            "earlier run ended, or give another file"
+        )
+    return "".join((first, second, *kept))
 
 
 def _settings(line: str) -> Settings | None:
-    """Return the settings in a line, or None if another version wrote them."""
-    known = json.loads(line.removeprefix(_MARK))
+    """Return the settings in a line, or None if it was not written by this version of an `AverageReporter`."""
+    known = _values(line)
     tuples = {name: tuple(value) for name, value in known.items() if isinstance(value, list)}
     try:
         return Settings(**{**known, **tuples})
     except TypeError:
         return None
+
+
+def _values(line: str) -> dict[str, Any]:
+    """Return the names and values in a line of settings; they are empty for other lines."""
+    try:
+        known = json.loads(line.removeprefix(_MARK)) if line.startswith(_MARK) else {}
+    except ValueError:
+        known = {}
+    return known if isinstance(known, dict) else {}
 
 
 def _value(text: str) -> float:
@@ -121,7 +171,7 @@ def read(file: str | os.PathLike[str]) -> tuple[Settings, dict[str, Array]]:
         If the file cannot be read.
     """
     lines = Path(file).read_text(encoding="utf-8").splitlines()
-    if len(lines) < 2 or not lines[0].startswith(_MARK):
+    if len(lines) < 2 or not _values(lines[0]):
         raise ValueError(f"{file} was not written by an AverageReporter: give a file that an AverageReporter wrote")
     settings = _settings(lines[0])
     if settings is None:

@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 import os
+import re
+import reprlib
+import weakref
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import openmm
 from openmm import unit
 
 from openmm_exactrb.averages.dynamics import Dynamics, dynamics_of
+from openmm_exactrb.averages.estimators import READY
 from openmm_exactrb.averages.frames import Frames, Observable
-from openmm_exactrb.averages.record import Settings, columns_of, continues, head
+from openmm_exactrb.averages.record import COLUMNS, Settings, columns_of, continued, head, of_observable
 from openmm_exactrb.context.updates import BAROSTATS, acting_updates
 from openmm_exactrb.openmm_access.units import gas_constant_times, plain
 from openmm_exactrb.support import checks
+from openmm_exactrb.support.files import written_whole
+from openmm_exactrb.support.stable_text import digest
 
 
 class AverageReporter:
@@ -38,10 +46,12 @@ class AverageReporter:
         then also stored for the bodies within this distance alone. For observables that depend only on these particles,
         this reduces the statistical error of corrections: see the argument ``local`` of `corrected`.
     append : bool, optional
-        Whether to continue an existing file of a run with the same settings.
+        Whether to continue an existing file of a run with the same settings. Frames after the step at which the run
+        continues, such as those after the last checkpoint of a killed run, are removed.
 
     Notes
     -----
+    After forces were changed with ``updateParametersInContext``, use a new reporter with another file.
     The Simulation must use an `openmm_exactrb.ExactRigidBodyLangevinIntegrator` with one heat exchange per step, or
     OpenMM's LangevinMiddleIntegrator. Each line is flushed to the file immediately.
     """
@@ -57,10 +67,12 @@ class AverageReporter:
     ) -> None:
         self._file, self._append = Path(file), append
         self._interval = checks.whole(reportInterval, "reportInterval", of="steps")
-        self._pressure, self._observables = checks.switch(pressure, "pressure"), dict(observables or {})
-        self._around = None if around is None else (around[0], plain(around[1], unit.nanometer, "a distance"))
+        checks.switch(append, "append")
+        self._pressure, self._observables = checks.switch(pressure, "pressure"), _named(observables)
+        self._around = None if around is None else _around(around)
         self._frames: Frames | None = None
         self._dynamics: Any = None
+        self._simulation: Any = None
         self._out: Any = None
         self._present: object = None  # the settings that may be changed in a run
 
@@ -80,10 +92,15 @@ class AverageReporter:
     def report(self, simulation: Any, state: Any) -> None:
         """Write a line for a Simulation and a State with positions, energy and forces."""
         frames = self._frames or self._begin(simulation)
+        if self._simulation() is not simulation:
+            raise ValueError(
+                f"the frames in {self._file} are from another Simulation: give each Simulation its own AverageReporter"
+            )
         if self._changing(simulation) != self._present:
             raise ValueError(
-                "the step size, the thermostat, the force groups or a parameter of the Context has changed since the "
-                f"first frame in {self._file}: replace this AverageReporter by one with another file"
+                "the step size, the thermostat, the force groups, a parameter of the Context or (by reinitialize) the "
+                f"System has changed since the first frame in {self._file}: replace this AverageReporter by one with "
+                "another file"
             )
         values = [state.getTime().value_in_unit(unit.picosecond), *frames.row(state, self._observables)]
         self._out.write(",".join([str(simulation.currentStep), *(repr(float(v)) for v in values)]) + "\n")
@@ -96,22 +113,28 @@ class AverageReporter:
 
     def _begin(self, simulation: Any) -> Frames:
         dynamics = self._dynamics = dynamics_of(simulation)
-        settings = settings_of(simulation, dynamics, self._observables)
+        settings = replace(
+            settings_of(simulation, dynamics, self._observables),
+            interval=self._interval,
+            around=() if self._around is None else (self._around[1], *map(float, self._around[0])),
+            system=_hash(simulation.system),
+        )
+        if self._around is not None and max(self._around[0]) >= simulation.system.getNumParticles():
+            raise ValueError(
+                f"around= contains particle {max(self._around[0])}, but the System has only "
+                f"{simulation.system.getNumParticles()} particles"
+            )
         frames = Frames(simulation, dynamics, self._pressure, self._around)
         columns = columns_of(settings, self._pressure, self._around is not None)
-        continued = self._append and self._file.is_file() and self._file.stat().st_size > 0
-        if continued:
-            text = self._file.read_text(encoding="utf-8")
-            if not continues(text, settings, columns):
-                raise ValueError(
-                    f"{self._file} belongs to a run with other settings: give the AverageReporter another file"
-                )
-            if not text.endswith("\n"):
-                raise ValueError(f"{self._file} ends with an incomplete line: delete this line, or give another file")
-        self._out = self._file.open("a" if continued else "w", encoding="utf-8")
-        if not continued:
-            self._out.write(head(settings, columns))
+        if self._append and self._file.is_file() and self._file.stat().st_size > 0:
+            text = continued(self._file, simulation.currentStep, settings, columns)
+        else:
+            text = head(settings, columns)
+        with written_whole(self._file, "wb") as out:
+            out.write(text.encode())
+        self._out = self._file.open("a", encoding="utf-8")
         self._frames, self._present = frames, self._changing(simulation)
+        self._simulation = weakref.ref(simulation)
         return frames
 
     def _changing(self, simulation: Any) -> object:
@@ -123,7 +146,8 @@ class AverageReporter:
 def settings_of(simulation: Any, dynamics: Dynamics, observables: Mapping[str, Any]) -> Settings:
     """Return the settings of a Simulation; raise ValueError if its averages cannot be corrected."""
     system, order = simulation.system, dynamics.order
-    barostats = [force for force in acting_updates(simulation.context) if type(force).__name__ in BAROSTATS]
+    updates = acting_updates(simulation.context)
+    barostats = [force for force in updates if type(force).__name__ in BAROSTATS and force.getFrequency()]
     if len(barostats) > 1:
         raise ValueError("averages cannot be corrected with several barostats: keep only one in the System")
     barostat = type(barostats[0]).__name__ if barostats else ""
@@ -149,3 +173,44 @@ def settings_of(simulation: Any, dynamics: Dynamics, observables: Mapping[str, A
         observables=tuple(observables),
         chords=dynamics.chords is not None,
     )
+
+
+def _named(observables: Any) -> dict[str, Observable]:
+    """Return the observables by name; raise ValueError if a name or a function is not valid."""
+    asked = "observables must be a mapping of names to functions of the positions"
+    if observables is None:
+        return {}
+    if not isinstance(observables, Mapping):
+        raise ValueError(f"{asked}, not {reprlib.repr(observables)}")
+    for name, observable in observables.items():
+        if not isinstance(name, str) or not callable(observable):
+            raise ValueError(f"{asked}, but contains {reprlib.repr(name)}: {reprlib.repr(observable)}")
+    own = [column for name in observables for column in of_observable(name)]
+    for name in observables:
+        plain_text = name.isprintable() and name == name.strip() != "" and not set(name) & set(',("')
+        if name in READY or not plain_text or any(column in COLUMNS or own.count(column) > 1 for column in own):
+            raise ValueError(
+                f"an observable cannot have the name {name!r}: choose a name without commas, brackets and quotation "
+                "marks that differs from the names of the ready-made observables and of the columns of the file"
+            )
+    return dict(observables)
+
+
+def _around(around: Any) -> tuple[list[int], float]:
+    """Return the particles and the distance (nm) of a neighbourhood."""
+    if not isinstance(around, Sequence) or len(around) != 2:
+        raise ValueError(f"around must consist of particles and a distance, not {reprlib.repr(around)}")
+    (particles,) = checks.lists_of_indices([around[0]], "the particles of around")
+    if not particles or min(particles) < 0:
+        raise ValueError(f"around must name one particle or more, by indices from 0, not {reprlib.repr(around[0])}")
+    distance = checks.positive(plain(around[1], unit.nanometer, "a distance"), "the distance of around", of="nm")
+    return particles, distance
+
+
+def _hash(system: openmm.System) -> str:
+    """Return a hash of a System without seeds, or an empty text if OpenMM cannot serialise the System."""
+    try:
+        text = openmm.XmlSerializer.serialize(system)
+    except Exception:  # of a PythonForce, any error of pickle: such Systems are not compared
+        return ""
+    return digest(re.sub(r'randomSeed="\d*"', "", text).encode())

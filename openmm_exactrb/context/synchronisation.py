@@ -127,11 +127,11 @@ class Synchronisation:
         self._outdated = self._written = False
         #: Called when a user has set a State or a step count, or has reinitialised the Context without a seed.
         self.new_trajectory: Callable[[], None] = lambda: None
-        _watch(context, "reinitialize", self._write, self._outlive)
+        watch(context, "reinitialize", self._write, self._outlive)
         for name in ("setState", "setStepCount"):
-            _watch(context, name, after=lambda: self.new_trajectory())
-        _watch(context, "createCheckpoint", self._write, self._withdraw)
-        _watch(context, "getState", self._write, self._withdraw, _saves)
+            watch(context, name, after=lambda: self.new_trajectory())
+        watch(context, "createCheckpoint", self._write, self._withdraw)
+        watch(context, "getState", self._write, self._withdraw, _saves)
 
     @property
     def context(self) -> Any:
@@ -328,7 +328,7 @@ def _nothing() -> None:
     pass
 
 
-def _watch(
+def watch(
     context: openmm.Context,
     name: str,
     before: Callable[[], None] = _nothing,

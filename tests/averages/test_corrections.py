@@ -357,7 +357,11 @@ def test_what_a_file_lacks_is_said(tmp_path):
         with pytest.raises(ValueError, match="one finite number for each of the 100 frames"):
             rb.corrected(file, values, slope)
     with pytest.raises(ValueError, match=r"create the AverageReporter with around=\(particles, distance\)"):
+        rb.corrected(file, np.zeros(100), local=True)
+    with pytest.raises(ValueError, match="the pressure depends on all particles: omit local="):
         rb.corrected(file, "pressure", local=True)
+    with pytest.raises(ValueError, match="the slope of 'pressure' is in the file: omit slope="):
+        rb.corrected(file, "pressure", np.zeros(100))
     with pytest.raises(ValueError, match="at constant volume, whose averages cannot be corrected to a pressure"):
         rb.corrected(file, "pressure", pressure=1.0)
     few = tmp_path / "few.csv"
@@ -376,9 +380,10 @@ def test_what_a_file_lacks_is_said(tmp_path):
         ValueError, match="written by another version of openmm_exactrb: read the file with that version"
     ):
         rb.corrected(few, "pressure")
-    (tmp_path / "no.csv").write_text("step,time\n")
-    with pytest.raises(ValueError, match="was not written by an AverageReporter"):
-        rb.corrected(tmp_path / "no.csv", "pressure")
+    for text in ("step,time\n", "# header of another file\n1,2\n", "# [1, 2]\n1,2\n"):
+        (tmp_path / "no.csv").write_text(text)
+        with pytest.raises(ValueError, match="was not written by an AverageReporter"):
+            rb.corrected(tmp_path / "no.csv", "pressure")
 
 
 def test_an_offset_makes_a_barostat(tmp_path):

@@ -98,7 +98,8 @@ class DevicePropagator:
         for _, part in inverse(behind):
             state = drift(state, part * of.h)
         if any(molecules.late for molecules in self._served.molecules):  # their steps end at the exchange
-            assert self._fast is not None and self._fast.excerpt is not None
+            assert self._fast is not None
+            assert self._fast.excerpt is not None
             nested = self._fast.excerpt.part
             state = nested.into(state, nested.of(self.sync.state))
         try:
@@ -269,10 +270,11 @@ class DevicePropagator:
         self.sync.pull()
         bodies = self.sync.bodies
         which = np.flatnonzero(lost(bodies, self.sync.state.rounded))
-        names = ", ".join(map(bodies.name, which[:_NAMED])) + (", ..." if len(which) > _NAMED else "")
+        names = list(dict.fromkeys(map(bodies.name, which[: 20 * _NAMED])))  # the atoms of a cluster have one name
+        named = ", ".join(names[:_NAMED]) + (", ..." if len(names) > _NAMED else "")
         raise NonFiniteError(
             f"within {n} steps, {len(which)} bodies obtained non-finite positions or momenta, or became faster than "
-            f"light: {names}. {ADVICE.format('call')}"
+            f"light: {named}. {ADVICE.format('call')}"
         )
 
     @property
