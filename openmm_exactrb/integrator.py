@@ -107,7 +107,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         check_first_arguments(stepSize, scheme)
         if thermostat is not None and not isinstance(thermostat, Thermostat):
             raise ValueError(
-                f"thermostat= takes a thermostat of openmm_exactrb.thermostats, not a {type(thermostat).__name__}"
+                f"thermostat= takes a thermostat of openmm_exactrb.thermostats, not {type(thermostat).__name__}"
             )
         self._fast = MultipleTimeSteps.of(fast, inner, innerSteps)
         self._thermostat = thermostat

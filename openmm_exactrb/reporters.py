@@ -183,7 +183,7 @@ def _elementary(charges: Any) -> Array:
         raise ValueError(f"charges must be {asked}, not {reprlib.repr(charges)}")
     if not np.isfinite(values).all():
         first = int(np.flatnonzero(~np.isfinite(values))[0])
-        raise ValueError(f"charges must be finite numbers, but that of particle {first} is {values[first]}")
+        raise ValueError(f"charges must be finite numbers, but the charge of particle {first} is {values[first]}")
     return values
 
 

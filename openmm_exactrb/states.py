@@ -38,9 +38,9 @@ def loadState(target: app.Simulation | openmm.Context, source: str | os.PathLike
     """
     context = target.context if isinstance(target, app.Simulation) else target
     if not isinstance(context, openmm.Context):
-        raise ValueError(f"a State is loaded into a Simulation or a Context, not into a {type(target).__name__}")
+        raise ValueError(f"a State is loaded into a Simulation or a Context, not into {type(target).__name__}")
     if not isinstance(source, (str, os.PathLike, openmm.State)):
-        raise ValueError(f"give a State, or a file that simulation.saveState wrote, not a {type(source).__name__}")
+        raise ValueError(f"give a State, or a file that simulation.saveState wrote, not {type(source).__name__}")
     state = source if isinstance(source, openmm.State) else read_xml(source, openmm.State, "simulation.saveState")
     kinds = state.getDataTypes()
     if not kinds & openmm.State.Positions:

@@ -9,7 +9,7 @@ The paper gives neither its energies, nor the lattice constant, nor the directio
 particles. Here the lattice constant is 3, and the momenta are opposite and point outward along the diagonal. The
 energies are 4 (a little above the largest potential energy of the 100 starts, 3.18), 20, 100 and 1000. Taken literally,
 the paper's text (q_1 = [1, 1, 1], q_125 = [5, 5, 5], sigma = 1) means a lattice constant of 1. The potential energy is
-then 1245 on average, the spheres fly apart, and with the two larger steps the energy grows by at least eight orders of
+then 1245 on average, the spheres fly apart, and with the two largest steps the energy grows by at least eight orders of
 magnitude with every method (options `--spacing 1 --energies 1400 2000 5000 20000 --starts 3`).
 """
 

@@ -8,13 +8,13 @@ f·M⁻¹f_s. The error that a splitting with steps h causes in the average of a
 where kappa = alpha + y²/2 - c (`openmm_exactrb.schemes.step_errors`) and J depends on the friction. For friction far
 slower than the exchange of energy between motions and far faster than all motions, respectively,
 
-    J = 2 alpha <W> Cov(A, U)/(n kT²),        J = -2 alpha <grad A · M⁻¹f_s> - alpha Cov(A, W)/kT,
+    J = 2 alpha <W> Cov(A, U)/(n (kT)²),        J = -2 alpha <grad A · M⁻¹f_s> - alpha Cov(A, W)/kT,
 
 with n degrees of freedom. The second limit is exact only without inner steps. For harmonic motions that exchange no
 energy, the second limit holds at any friction. A correction uses the mean of these limits. Drifts along chords also
 conserve h² T (`openmm_exactrb.averages.chord`), which adds
 
-    -Cov(A, T)/kT + 4 <T> Cov(A, U)/(n kT²)
+    -Cov(A, T)/kT + 4 <T> Cov(A, U)/(n (kT)²)
 
 to the average at weak friction, and to the energy of a harmonic liquid at any friction. A barostat accepts volumes by
 the true energy. The error dP of the pressure at a fixed volume therefore changes any average by Cov(A, V) dP/kT. Here

@@ -214,8 +214,9 @@ class _ScaledContext:
     ) -> list[float]:
         """Return the molecular pressure and its slopes along fields, in bar and bar/ps².
 
-        By the chain rule, the slope along w of dU/dl, where l scales all lengths, is -w·df/dl - sum F·c. Here c is the
-        velocity of the centre of a molecule, and F is the force on the molecule.
+        Let l scale the box and the centres of the molecules. By the chain rule, the slope of dU/dl along a field w is
+        -w·df/dl - sum F·c, where f is the generalised force, F is the force on a molecule, and c is the velocity of its
+        centre in the field.
         """
         x, volume = arrays.positions(state), state.getPeriodicBoxVolume()._value
         arrays.take_parameters(self._own, self._context.getState(parameters=True))

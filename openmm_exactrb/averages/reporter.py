@@ -190,8 +190,8 @@ def _named(observables: Any) -> dict[str, Observable]:
         plain_text = name.isprintable() and name == name.strip() != "" and not set(name) & set(',("')
         if name in READY or not plain_text or any(column in COLUMNS or own.count(column) > 1 for column in own):
             raise ValueError(
-                f"an observable cannot have the name {name!r}: choose a name without commas, brackets and quotation "
-                "marks that differs from the names of the ready-made observables and of the columns of the file"
+                f"an observable cannot have the name {name!r}: choose a name that contains no commas, brackets or "
+                "quotation marks, and that differs from the names of the ready-made observables and of the columns"
             )
     return dict(observables)
 

@@ -127,7 +127,7 @@ def load(args: argparse.Namespace) -> Box:
 
 def _serialised(args: argparse.Namespace) -> Box:
     if args.forcefield or args.solvate:
-        raise ValueError("--forcefield and --solvate need a PDB or PDBx file: a System already contains forces")
+        raise ValueError("omit --forcefield and --solvate: the System already contains the solvent and the forces")
     if args.hydrogen_mass is not None:
         raise ValueError(
             "omit --hydrogen-mass: the System already contains masses; change them in Python with heavy_hydrogens() "
@@ -148,7 +148,7 @@ def _serialised(args: argparse.Namespace) -> Box:
 def _with_topology(args: argparse.Namespace, topology: Path, places: Path) -> Box:
     """Return the molecules of a topology of Amber or GROMACS, which also contains the forces."""
     if args.forcefield or args.solvate:
-        raise ValueError(f"--forcefield and --solvate need a PDB or PDBx file: {topology} already contains forces")
+        raise ValueError(f"omit --forcefield and --solvate: {topology} already contains the solvent and the forces")
     read_start, read_topology, box_of = _POSITIONS[places.suffix.lower()]
     start: Any = _understood(str(places), read_start, str(places))
     vectors = box_of(start)

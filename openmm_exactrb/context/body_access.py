@@ -213,7 +213,7 @@ class BodyAccess:
         """
         sync = self._up_to_date().sync
         if not isinstance(state, BodyState | State):
-            raise ValueError(f"setBodyState() takes the state in bodyState()[1], not a {type(state).__name__}")
+            raise ValueError(f"setBodyState() takes the state in bodyState()[1], not {type(state).__name__}")
         full = state if isinstance(state, State) else State.of(state)
         if any(a.shape != b.shape or not np.isfinite(a).all() for a, b in zip(full, sync.state, strict=True)):
             raise ValueError(

@@ -168,8 +168,8 @@ def _clusters(held: Rows, masses: Array, given: list[Indices]) -> Iterable[tuple
     if leading_out.any():
         p, q = pairs[np.argmax(leading_out)]
         raise ValueError(
-            f"the constraint between particles {p} and {q} joins a body of bodies= to a particle outside that body: "
-            "name both particles in the same body, or remove this constraint"
+            f"the constraint between particles {p} and {q} joins a body given in bodies= to a particle outside it: put "
+            "both particles into the same body, or remove this constraint"
         )
     links = [pairs, *(np.column_stack([np.full(len(b), b[0]), b]) for b in given)]
     rows, columns = np.concatenate(links).T

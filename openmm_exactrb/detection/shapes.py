@@ -176,7 +176,7 @@ def _kind(particles: Indices, masses: Array, distances: Array) -> Kind:
     if residual > RESIDUAL * distances.max():
         raise ValueError(
             f"the constraints between particles {', '.join(map(str, particles[0]))} cannot be satisfied in three "
-            f"dimensions, with an error of {residual:.2g} nm at best: correct the lengths of these constraints"
+            f"dimensions (the fitted positions violate them by up to {residual:.2g} nm): correct their lengths"
         )
     # The largest spread comes first, so that moments ascend and a linear body lies along axis 1.
     return Kind(particles, slice(0), masses, sites[None], mass, (spread.sum() - spread)[None])

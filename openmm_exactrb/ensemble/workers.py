@@ -114,6 +114,6 @@ def _cluster(workers: int) -> distributed.LocalCluster:
         return distributed.LocalCluster(n_workers=workers, **options)
     except RuntimeError as error:
         raise RuntimeError(
-            f"a worker process exited at startup ({error}): use fewer workers if memory was short, and "
-            "in a script make this call under if __name__ == '__main__'"
+            f"a worker process exited at startup ({error}): if memory was short, use fewer workers; in a script, put "
+            "this call in the block 'if __name__ == \"__main__\":'"
         ) from error

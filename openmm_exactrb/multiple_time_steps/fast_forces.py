@@ -158,9 +158,9 @@ class FastForces:
         groups = sorted({s.group for s, _ in outer.sequence if isinstance(s, Kick) and s.group is not None})
         if self.settings.fast == BONDED and groups:
             raise ValueError(
-                f"scheme {outer.name} kicks single force groups ({', '.join(map(str, groups))}), which may contain "
-                "bonded forces: put the fast forces into a group that no kick names, and set fast= to it, such as "
-                "fast=(7,)"
+                f"scheme {outer.name} has kicks by single force groups ({', '.join(map(str, groups))}), which may "
+                "contain bonded forces: put the fast forces into a group that no kick uses, and name this group in "
+                "fast=, such as fast=(7,)"
             )
         twice = [group for group in groups if group in self.named]
         if twice:

@@ -263,8 +263,8 @@ def check_cutoff(cutoff: float, edges: Sequence[float], name: str = "cutoff") ->
     half = 0.5 * min(edges)
     if not cutoff <= half * (1.0 + 1e-12):
         raise ValueError(
-            f"{name} must be at most half the box, {half:g} nm, not {cutoff:g} nm: use a shorter cutoff, with room for "
-            "a barostat to shrink the box, or a larger box"
+            f"{name} must be at most half the box along its shortest edge, {half:g} nm, not {cutoff:g} nm: use a "
+            "shorter cutoff, with room for a barostat to shrink the box, or a larger box"
         )
 
 

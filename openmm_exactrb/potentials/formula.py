@@ -93,7 +93,7 @@ def add_hbonds(
     parameters: Mapping[str, float],
     cutoff: float,
 ) -> None:
-    """Make each pair a donor and an acceptor, which exclude each other, with a cutoff (nm) between first particles."""
+    """Add each pair as a donor and as an acceptor that do not interact; the cutoff (nm) is between first particles."""
     for name, value in parameters.items():
         force.addGlobalParameter(name, value)
     for i, (first, second) in enumerate(pairs):

@@ -42,7 +42,7 @@ def kosenko(inertia: Array, third_kind: ThirdKind = carlson) -> Flow:
 
 
 def moving_frame(inertia: Array) -> Flow:
-    """Return the flow with choice (b) of Celledoni et al., the frame (mdot, m x mdot, m) of the rotation matrices."""
+    """Return the flow with choice (b) of Celledoni et al.: the frame (mdot, m x mdot, m), as in `rotors.rotation`."""
 
     def theta(inertia: Array, x: Array) -> Array:
         v, w, _ = rotation.frame(inertia, x)

@@ -40,7 +40,7 @@ class Checkpoint(NamedTuple):
             was, now = self.identity.get(name, "not there"), identity.get(name, "not there")
             if was != now:
                 raise ValueError(
-                    f"{file} belongs to another run, in which {name} was {was}, but is {now} now: restore this value, "
+                    f"{file} belongs to another run: there {name} was {was}, but now it is {now}: restore this value, "
                     "use another folder, or overwrite the run (overwrite=True or --overwrite)"
                 )
 

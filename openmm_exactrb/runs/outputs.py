@@ -41,7 +41,7 @@ class Outputs:
         if not callable(factory):
             raise ValueError(f"a reporter must be a class such as openmm.app.DCDReporter, not {factory!r}")
         if name in self._factories:
-            raise ValueError(f"the file {name} already has a reporter: give this reporter another file name")
+            raise ValueError(f"the file {name} already has a reporter: give the new reporter another file name")
         parameters = inspect.signature(factory).parameters
         if "append" not in parameters and not any(p.kind is p.VAR_KEYWORD for p in parameters.values()):
             raise ValueError(

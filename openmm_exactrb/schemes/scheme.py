@@ -72,7 +72,7 @@ class Scheme:
                 raise ValueError(
                     f"scheme {self.name}: a sequence consists of pairs of a Substep and its fraction of the step, "
                     f"not {row!r}: "
-                    'schemes.spelled("B A B") returns one for symbols'
+                    'use schemes.spelled("B A B"), which returns the sequence for a string of symbols'
                 )
 
     def __repr__(self) -> str:

@@ -119,6 +119,6 @@ def require_symmetric(scheme: Scheme | None, role: str = "scheme") -> None:
     """Raise ValueError if the scheme of proposals, or of their inner steps, is not symmetric in time."""
     if scheme is not None and not palindromic(scheme.sequence):
         raise ValueError(
-            f"the {role} {scheme.name} is not symmetric in time, as proposals must be: choose a symmetric one, "
+            f"the {role} {scheme.name} is not symmetric in time, but proposals must be: choose a symmetric one, "
             "such as S2_2"
         )

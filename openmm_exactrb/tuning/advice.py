@@ -166,7 +166,7 @@ def _in_motion(
     if temperature is None and at_rest:
         raise ValueError(
             "all velocities of the start are zero, and the energy error of a system at rest says nothing about one in "
-            "motion: give a State of an equilibrated run with velocities=True, or a temperature in K"
+            "motion: give a State with velocities, from an equilibrated run, or a temperature in K"
         )
     if temperature is None:
         return state

@@ -32,7 +32,7 @@ CASES = [
     (["cut.pdb", "--forcefield", "tip3p.xml"], "has no END line"),
     (["system.xml"], "give one file (PDB .pdb or PDBx .cif), or two (system.xml and state.xml"),
     (["state.xml", "system.xml"], "holds a State, not a System"),
-    (["system.xml", "state.xml", "--forcefield", "tip3p.xml"], "a System already contains forces"),
+    (["system.xml", "state.xml", "--forcefield", "tip3p.xml"], "the System already contains the solvent and the forces"),
     ([], "exactrb run needs molecules: give one file"),
     (["--resume"], "--resume needs the files and options with which the run"),
     (["--solvate", "27", "--forcefield", "tip3p.xml"], "--cutoff 0.9 is more than half the width of the box"),
@@ -166,7 +166,7 @@ def test_files_of_others_are_seen_before_anything_is_prepared(droplet, tmp_path,
 def test_a_state_is_one_or_a_file_of_one(serialised, nothing):
     system = openmm.XmlSerializer.deserialize(serialised[0].read_text(encoding="utf-8"))
     context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
-    with pytest.raises(ValueError, match=f"saveState wrote, not a {type(nothing).__name__}"):
+    with pytest.raises(ValueError, match=f"saveState wrote, not {type(nothing).__name__}"):
         rb.loadState(context, nothing)
 
 

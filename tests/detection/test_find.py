@@ -59,7 +59,7 @@ def test_wrong_bodies_are_refused(bodies, message):
 def test_a_constraint_that_leads_out_of_a_body_is_refused_by_name():
     system, x = rings()
     system.addConstraint(5, 6, 0.5)
-    with pytest.raises(ValueError, match="constraint between particles 5 and 6 joins a body of bodies= to"):
+    with pytest.raises(ValueError, match="constraint between particles 5 and 6 joins a body given in bodies= to"):
         find_bodies(system, x, [range(6)])
 
 

@@ -83,7 +83,7 @@ def test_nothing_is_nested_where_it_would_bring_nothing_or_not_be_all():
 
     grouped = Scheme("grouped", 2, ((Kick(0), 0.5), (DRIFT, 1.0), (Kick(0), 0.5)))
     assert not nests(system, x, 0.002, grouped)
-    with pytest.raises(ValueError, match=r"kicks single force groups .*\(0\)"):
+    with pytest.raises(ValueError, match=r"has kicks by single force groups .*\(0\)"):
         nests(system, x, 0.002, grouped, fast="bonded")
 
     assert not nests(system, x, 0.004, Scheme("own", 2, ((Rest(), 0.5), (DRIFT, 1.0), (Rest(), 0.5))))

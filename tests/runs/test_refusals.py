@@ -41,15 +41,15 @@ def test_a_damaged_checkpoint_is_refused(half):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"n": 5}, "another run, in which System was 20 particles"),
-        ({"trap": 0.6}, "another run, in which System was 20 particles"),
-        ({"scheme": "S2_2"}, "integrator scheme was V2, .*, but is S2_2"),
-        ({"rotor": "mclachlan_reich"}, "integrator rotor was .*exact.*, but is .*mclachlan_reich"),
-        ({"groups": {0, 2}}, "integrator IntegrationForceGroups was -1, but is 5 now"),
-        ({"h": 0.006}, "integrator stepSize was 0.005, but is 0.006 now"),
-        ({"platform": "CPU"}, "platform was Reference, but is CPU now"),
-        ({"options": {"interval": 5}}, "DCDReporter every 7 steps, but is DCDReporter every 5 steps now"),
-        ({"options": {"settings": {"seed": 1}}}, "setting seed was not there, but is 1 now"),
+        ({"n": 5}, "another run: there System was 20 particles"),
+        ({"trap": 0.6}, "another run: there System was 20 particles"),
+        ({"scheme": "S2_2"}, "integrator scheme was V2, .*, but now it is S2_2"),
+        ({"rotor": "mclachlan_reich"}, "integrator rotor was .*exact.*, but now it is .*mclachlan_reich"),
+        ({"groups": {0, 2}}, "integrator IntegrationForceGroups was -1, but now it is 5"),
+        ({"h": 0.006}, "integrator stepSize was 0.005, but now it is 0.006"),
+        ({"platform": "CPU"}, "platform was Reference, but now it is CPU"),
+        ({"options": {"interval": 5}}, "DCDReporter every 7 steps, but now it is DCDReporter every 5 steps"),
+        ({"options": {"settings": {"seed": 1}}}, "setting seed was not there, but now it is 1"),
     ],
 )
 def test_a_checkpoint_of_another_run_is_refused_and_nothing_is_done(half, settings, message):
@@ -59,7 +59,7 @@ def test_a_checkpoint_of_another_run_is_refused_and_nothing_is_done(half, settin
 def test_a_checkpoint_of_another_version_is_refused(half, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(openmm, "__version__", "7.0")
-        refused(half, "openmm was .*, but is 7.0 now")
+        refused(half, "openmm was .*, but now it is 7.0")
     with monkeypatch.context() as patch:
         patch.setattr(checkpoint, "FORMAT", b"99")
         refused(half, "in format '5' instead of '99': resume the run with that version")
@@ -129,7 +129,7 @@ def own_scheme(weight):
 def test_a_run_of_other_settings_that_a_name_does_not_tell_is_refused(tmp_path, make_integrator, values):
     half_of(tmp_path, with_integrator(make_integrator(values[0])))
     half_of(tmp_path, with_integrator(make_integrator(values[0])))  # the same goes on
-    with pytest.raises(ValueError, match="another run, in which integrator"):
+    with pytest.raises(ValueError, match="another run: there integrator"):
         half_of(tmp_path, with_integrator(make_integrator(values[1])))
 
 
@@ -141,5 +141,5 @@ def test_a_run_of_other_canonical_momenta_is_refused(tmp_path):
 
     half_of(tmp_path, of(30.0))
     half_of(tmp_path, of(30.0))
-    with pytest.raises(ValueError, match=r"another run, in which CanonicalMomenta was 30\.0 K every 5 steps"):
+    with pytest.raises(ValueError, match=r"another run: there CanonicalMomenta was 30\.0 K every 5 steps"):
         half_of(tmp_path, of(60.0))

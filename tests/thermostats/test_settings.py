@@ -89,7 +89,7 @@ def test_other_bad_settings_get_a_sentence_too():
     lopsided = Scheme("Euler", 1, ((DRIFT, 1.0), (KICK, 1.0)))
     with pytest.raises(ValueError, match="Euler is not symmetric in time"):
         rb.ExactRigidBodyHybridIntegrator(300.0, 1.0, 0.002, scheme=lopsided)
-    with pytest.raises(ValueError, match="the inner scheme Euler is not symmetric in time, as proposals must be"):
+    with pytest.raises(ValueError, match="the inner scheme Euler is not symmetric in time, but proposals must be"):
         rb.ExactRigidBodyHybridIntegrator(300.0, 1.0, 0.002, fast="bonded", inner=lopsided, innerSteps=3)
 
 

@@ -273,8 +273,8 @@ class DevicePropagator:
         names = list(dict.fromkeys(map(bodies.name, which[: 20 * _NAMED])))  # the atoms of a cluster have one name
         named = ", ".join(names[:_NAMED]) + (", ..." if len(names) > _NAMED else "")
         raise NonFiniteError(
-            f"within {n} steps, {len(which)} bodies obtained non-finite positions or momenta, or became faster than "
-            f"light: {named}. {ADVICE.format('call')}"
+            f"within {n} steps, positions or momenta became non-finite, or speeds exceeded that of light (bodies "
+            f"affected: {len(which)}): {named}. {ADVICE.format('call')}"
         )
 
     @property

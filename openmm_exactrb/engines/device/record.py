@@ -99,8 +99,8 @@ def _propagator(context: Any, integrator: openmm.CustomIntegrator, settings: Set
     if not library().owns(integrator):
         if integrator.getGlobalVariable(0) in _marks(settings):
             warn(
-                "a checkpoint of the device was loaded before the engine was chosen, so the run continues from "
-                "positions and velocities, not bit for bit: call step(0) before loadCheckpoint()"
+                "a checkpoint of the device engine was loaded before the engine was chosen, so the run continues from "
+                "positions and velocities, and is not bit-identical: call step(0) before loadCheckpoint()"
             )
         program = openmm.CustomIntegrator(0.0)
         _declare(program, settings)

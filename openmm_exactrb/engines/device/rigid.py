@@ -78,7 +78,7 @@ def parts_of(bodies: RigidBodies, demands: Demands, others: Indices) -> list[Rig
 
 
 class RigidPart:
-    """The part of a program for kinds of rigid bodies, with a prefix for array names and `lanes` threads per body."""
+    """The part of a program that moves kinds of rigid bodies by `lanes` threads each; array names have a prefix."""
 
     def __init__(
         self,
