@@ -75,7 +75,7 @@ def test_a_state_of_bodies_has_unit_quaternions():
         (found[1]._replace(q=1.1 * found[1].q), "quaternions of unit length"),
         (found[1]._replace(q=0.0 * found[1].q), "quaternions of unit length"),
         (found, r"setBodyState\(\) takes the state in bodyState\(\)\[1\], not tuple"),
-        (None, "not a NoneType"),
+        (None, "not NoneType"),
     ):
         with pytest.raises(ValueError, match=message):
             integrator.setBodyState(wrong)
