@@ -38,8 +38,8 @@ class Dynamics:
     scheme : str
     step : float
         Step size in ps.
-    order : StepErrors
-        Coefficients of the second-order error.
+    errors : StepErrors
+        Coefficients of the step-size error.
     temperature : float
         Temperature in K.
     frictions : tuple of float
@@ -64,7 +64,7 @@ class Dynamics:
 
     scheme: str
     step: float
-    order: StepErrors
+    errors: StepErrors
     temperature: float
     frictions: tuple[float, ...]
     freedom: int
@@ -135,7 +135,7 @@ def _of_this_package(simulation: Any, frictions: tuple[float, ...]) -> Dynamics:
     return Dynamics(
         scheme=integrator.getScheme().name,
         step=step,
-        order=step_errors(thermostat.steps(integrator.getScheme())),
+        errors=step_errors(thermostat.steps(integrator.getScheme())),
         temperature=thermostat.temperature,
         frictions=frictions,
         freedom=sum(integrator.degreesOfFreedom()),
@@ -168,7 +168,7 @@ def _of_openmm(simulation: Any, frictions: tuple[float, ...]) -> Dynamics:
     return Dynamics(
         scheme="LangevinMiddle",
         step=integrator.getStepSize().value_in_unit(unit.picosecond),
-        order=step_errors(with_thermostat(scheme_for_thermostat("BAOA"))),
+        errors=step_errors(with_thermostat(scheme_for_thermostat("BAOA"))),
         temperature=temperature,
         frictions=frictions,
         freedom=bodies.translational_freedom + bodies.rotational_freedom - removed,

@@ -6,10 +6,8 @@ the forces in the kicks. The slopes of observables are their derivatives along t
 
 from __future__ import annotations
 
-import reprlib
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from numbers import Real
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,6 +20,7 @@ from openmm_exactrb.multiple_time_steps.fast_forces import FastForces
 from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.openmm_access.molecules import molecule_of
 from openmm_exactrb.openmm_access.units import gas_constant_times
+from openmm_exactrb.support import checks
 from openmm_exactrb.support.types import Array
 
 #: An observable of the positions (n_particles, 3) of all particles, in nm.
@@ -140,11 +139,7 @@ def _sum(product: Force, weights: tuple[Array, Array] | None = None) -> float:
 def _value(name: str, observable: Observable, x: Array) -> float:
     """Return the value of a user's observable, which may change its argument."""
     value = observable(x.copy())
-    if np.ndim(value) or not isinstance(value, Real | np.bool_) or not np.isfinite(value):
-        raise ValueError(
-            f"the observable {name!r} must return one finite number without a unit, not {reprlib.repr(value)}"
-        )
-    return float(value)
+    return float(value) if isinstance(value, bool | np.bool_) else checks.number(value, f"the observable {name!r}")
 
 
 def _slope(observable: Observable, x: Array, field: Array) -> float:

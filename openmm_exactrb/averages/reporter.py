@@ -7,14 +7,13 @@ import re
 import reprlib
 import weakref
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import openmm
 from openmm import unit
 
-from openmm_exactrb.averages.dynamics import Dynamics, dynamics_of
+from openmm_exactrb.averages.dynamics import dynamics_of
 from openmm_exactrb.averages.estimators import READY
 from openmm_exactrb.averages.frames import Frames, Observable
 from openmm_exactrb.averages.record import COLUMNS, Settings, columns_of, continued, head, of_observable
@@ -113,18 +112,13 @@ class AverageReporter:
 
     def _begin(self, simulation: Any) -> Frames:
         dynamics = self._dynamics = dynamics_of(simulation)
-        settings = replace(
-            settings_of(simulation, dynamics, self._observables),
-            interval=self._interval,
-            around=() if self._around is None else (self._around[1], *map(float, self._around[0])),
-            system=_hash(simulation.system),
-        )
         if self._around is not None and max(self._around[0]) >= simulation.system.getNumParticles():
             raise ValueError(
                 f"around= contains particle {max(self._around[0])}, but the System has only "
                 f"{simulation.system.getNumParticles()} particles"
             )
         frames = Frames(simulation, dynamics, self._pressure, self._around)
+        settings = self._settings(simulation)
         columns = columns_of(settings, self._pressure, self._around is not None)
         if self._append and self._file.is_file() and self._file.stat().st_size > 0:
             text = continued(self._file, simulation.currentStep, settings, columns)
@@ -142,37 +136,45 @@ class AverageReporter:
         groups = simulation.integrator.getIntegrationForceGroups()
         return self._dynamics.changing(), groups, dict(simulation.context.getParameters())
 
+    def _settings(self, simulation: Any) -> Settings:
+        """Return the settings of a Simulation; raise ValueError if its averages cannot be corrected."""
+        system, dynamics, errors = simulation.system, self._dynamics, self._dynamics.errors
+        barostat, pressure = _barostat(simulation.context)
+        masses = (system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles()))
+        return Settings(
+            scheme=dynamics.scheme,
+            step=dynamics.step,
+            alpha=errors.alpha,
+            beta=errors.beta,
+            slopes=(errors.slope, errors.inner_slope),
+            barostat_slope=errors.barostat_slope,
+            quartic=errors.quartic,
+            temperature=dynamics.temperature,
+            kT=gas_constant_times(dynamics.temperature),
+            frictions=dynamics.frictions,
+            freedom=dynamics.freedom,
+            mass=sum(masses),
+            barostat=barostat,
+            pressure=pressure,
+            observables=tuple(self._observables),
+            chords=dynamics.chords is not None,
+            interval=self._interval,
+            around=() if self._around is None else (self._around[1], *map(float, self._around[0])),
+            system=_hash(system),
+        )
 
-def settings_of(simulation: Any, dynamics: Dynamics, observables: Mapping[str, Any]) -> Settings:
-    """Return the settings of a Simulation; raise ValueError if its averages cannot be corrected."""
-    system, order = simulation.system, dynamics.order
-    updates = acting_updates(simulation.context)
-    barostats = [force for force in updates if type(force).__name__ in BAROSTATS and force.getFrequency()]
+
+def _barostat(context: Any) -> tuple[str, float]:
+    """Return the type and the pressure (bar) of the barostat of a Context; the type is empty without a barostat."""
+    barostats = [
+        force for force in acting_updates(context) if type(force).__name__ in BAROSTATS and force.getFrequency()
+    ]
     if len(barostats) > 1:
         raise ValueError("averages cannot be corrected with several barostats: keep only one in the System")
     barostat = type(barostats[0]).__name__ if barostats else ""
     if barostat not in ("", "MonteCarloBarostat"):
         raise ValueError(f"averages cannot be corrected with a {barostat}: use a MonteCarloBarostat")
-    pressure = simulation.context.getParameter(barostats[0].Pressure()) if barostats else 0.0
-    masses = (system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles()))
-    return Settings(
-        scheme=dynamics.scheme,
-        step=dynamics.step,
-        alpha=order.alpha,
-        beta=order.beta,
-        slopes=(order.slope, order.inner_slope),
-        barostat_slope=order.barostat_slope,
-        quartic=order.quartic,
-        temperature=dynamics.temperature,
-        kT=gas_constant_times(dynamics.temperature),
-        frictions=dynamics.frictions,
-        freedom=dynamics.freedom,
-        mass=sum(masses),
-        barostat=barostat,
-        pressure=pressure,
-        observables=tuple(observables),
-        chords=dynamics.chords is not None,
-    )
+    return barostat, context.getParameter(barostats[0].Pressure()) if barostats else 0.0
 
 
 def _named(observables: Any) -> dict[str, Observable]:
@@ -185,10 +187,10 @@ def _named(observables: Any) -> dict[str, Observable]:
     for name, observable in observables.items():
         if not isinstance(name, str) or not callable(observable):
             raise ValueError(f"{asked}, but contains {reprlib.repr(name)}: {reprlib.repr(observable)}")
-    own = [column for name in observables for column in of_observable(name)]
+    columns = [*COLUMNS, *(column for name in observables for column in of_observable(name))]
     for name in observables:
         plain_text = name.isprintable() and name == name.strip() != "" and not set(name) & set(',("')
-        if name in READY or not plain_text or any(column in COLUMNS or own.count(column) > 1 for column in own):
+        if name in READY or not plain_text or any(columns.count(column) > 1 for column in of_observable(name)):
             raise ValueError(
                 f"an observable cannot have the name {name!r}: choose a name that contains no commas, brackets or "
                 "quotation marks, and that differs from the names of the ready-made observables and of the columns"

@@ -1,5 +1,6 @@
 """The page on averages has the numbers of its records."""
 
+import itertools
 import math
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 from benchmarks.common.markdown import rows, with_error
 from benchmarks.common.records import DOCS
+from benchmarks.water.corrected_water import agreement, points
 from benchmarks.water.tables import averages
 
 
@@ -39,6 +41,36 @@ def test_energies_with_heavy_hydrogens_are_near_the_references():
     for model in ("SPC/E", "TIP4P/2005"):
         for kind in (("constant volume", "potential energy"), ("1 bar", "enthalpy")):
             assert abs(deviation(model, *kind)[0]) < 0.045
+
+
+def too_high(fs, ensembles, value):
+    """Return by how much energies of W2_3m, read at the next kick, are too high: the mean over sets, and its error."""
+    found = []
+    for model, ensemble in itertools.product(("spce", "tip4p2005"), ensembles):
+        some = points(model, ensemble, "U")
+        known, of_known, _ = agreement([point.after for point in some if point.fs <= 4.0])
+        ((mean, error),) = (value(point) for point in some if (point.method, point.fs) == ("W2_3m", fs))
+        found.append((mean - known, math.hypot(error, of_known)))
+    return agreement(found)[:2]
+
+
+def test_energies_with_plain_hydrogens_deviate_as_the_page_says():
+    page = " ".join((DOCS / "explanation/averages.md").read_text(encoding="utf-8").split())
+    before, _ = too_high(4.0, ("NVT", "NPT"), lambda point: (point.mean, point.error))
+    after = with_error(*too_high(4.0, ("NVT", "NPT"), lambda point: point.after), 2)
+    assert f"is {before:.2f} kJ/mol too high before the correction, and {after} kJ/mol after it" in page
+    assert f"energies are {with_error(*too_high(6.0, ('NVT',), lambda point: point.after), 2)} kJ/mol too high" in page
+
+
+def test_the_correction_of_a_peptide_in_water_is_that_of_its_page():
+    page = " ".join((DOCS / "tutorials/protein-8fs.md").read_text(encoding="utf-8").split())
+    volume, pressure = (
+        with_error(-float(row["U"]), float(row["U error"]), 2)
+        for ensemble in ("NVT", "NPT")
+        for row in rows("corrected_steps")
+        if (row["integrator"], row["masses"], row["fs"], row["ensemble"]) == ("W2_3m", "all", "8.0", ensemble)
+    )
+    assert f"by {volume} kJ/mol at constant volume, and by {pressure} kJ/mol at 1 bar" in page
 
 
 def test_at_the_next_kick_the_error_of_the_pressure_is_less_than_half_of_that_at_the_end_of_a_step():

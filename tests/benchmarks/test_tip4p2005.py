@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.common.markdown import with_error
 from benchmarks.common.records import DOCS
-from benchmarks.water.equipartition_record import LFM, RECORD, read
+from benchmarks.water.equipartition_record import AGAIN, LFM, RECORD, read
 from benchmarks.water.tip4p2005 import KELVIN, corrected, measured
 
 
@@ -21,6 +21,12 @@ def of_runs(method, fs, value):
     kind = "tip4p2005", "NPT", method, fs
     found = np.array([value(m) for run, m in read(RECORD).items() if (run[:4], run.kelvin) == (kind, KELVIN)])
     return found.mean(), found.std(ddof=1) / math.sqrt(len(found))
+
+
+@pytest.mark.parametrize("method", [LFM, "W2_3m"])
+def test_runs_in_the_cold_have_the_length_that_the_page_says(page, method):
+    cold = [run.ps for run in read(AGAIN) if (run.method, run.kelvin) == (method, 277.15)]
+    assert f"{sum(cold):.0f} ps at 277.15 K" in page
 
 
 @pytest.mark.parametrize("fs", [2.0, 4.0])

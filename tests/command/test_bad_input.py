@@ -32,7 +32,10 @@ CASES = [
     (["cut.pdb", "--forcefield", "tip3p.xml"], "has no END line"),
     (["system.xml"], "give one file (PDB .pdb or PDBx .cif), or two (system.xml and state.xml"),
     (["state.xml", "system.xml"], "holds a State, not a System"),
-    (["system.xml", "state.xml", "--forcefield", "tip3p.xml"], "already contains the solvent and the forces"),
+    (
+        ["system.xml", "state.xml", "--forcefield", "tip3p.xml"],
+        "omit --forcefield and --solvate: the System already contains the solvent and the forces",
+    ),
     ([], "exactrb run needs molecules: give one file"),
     (["--resume"], "--resume needs the files and options with which the run"),
     (["--solvate", "27", "--forcefield", "tip3p.xml"], "--cutoff 0.9 is more than half the width of the box"),

@@ -198,7 +198,10 @@ def test_the_correction_follows_the_parameters_of_the_context():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"sphere_cutoff": 5.0}, "sphere_cutoff must be at most half the box along .* or a larger box"),
+        (
+            {"sphere_cutoff": 5.0},
+            "sphere_cutoff must be at most half the box along its shortest edge, .* or a larger box",
+        ),
         ({"sphere_cutoff": 0.0}, "sphere_cutoff must be a positive number of nm"),
         ({"sphere_cutoff": 2.0, "sphere_switch": 2.0}, "sphere_switch must be between 0 and the sphere_cutoff of 2 nm"),
         ({"wca": True, "shifted": True}, "wca=True already shifts the energy .* omit shifted"),

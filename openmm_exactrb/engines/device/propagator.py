@@ -86,15 +86,16 @@ class DevicePropagator:
         ValueError
             If OpenMM evaluates fast forces in drifts after the exchange.
         """
-        self.sync.pull()
-        bodies, of = self.sync.bodies, settings()
+        of = settings()
         behind = behind_exchange(of.scheme.sequence)
         if behind and (evaluated := self._served.evaluated) is not None:
             raise ValueError(
                 f"the device has no kernel for {evaluated.what}, which the energy at the heat exchange of "
                 f"{of.outer.name} needs: use engine='host'"
             )
-        drift, state = free_motion(bodies, of.rotor).drift, self.sync.state
+        self.sync.pull()
+        bodies, state = self.sync.bodies, self.sync.state
+        drift = free_motion(bodies, of.rotor).drift
         for _, part in inverse(behind):
             state = drift(state, part * of.h)
         if any(molecules.late for molecules in self._served.molecules):  # their steps end at the exchange
