@@ -1,10 +1,11 @@
 """Averages at long steps, as they are and corrected, beside those of small steps.
 
 Boxes of 216 molecules with PME and a switch at 298.15 K, friction 5/ps, on the CPU platform with one thread, or larger
-ones on a GPU: at constant volume the potential energy and the pressure, at 1 bar the density and the enthalpy; as they
-are and corrected by `openmm_exactrb.corrected`. With `--offset` the barostat is set to 1 bar and the offset that the
-runs at constant volume of the same point predict. Frames are kept in out/benchmarks/averages, so that a command that
-was stopped goes on. Each seed is a run and a row of the record.
+ones on a GPU. At constant volume, the averages are the potential energy and the pressure, and at 1 bar the density, the
+enthalpy and their response coefficients, as they are and corrected by `openmm_exactrb.corrected`. With `--offset`, the
+pressure of the barostat is 1 bar plus the offset that the runs at constant volume of the same point predict. Frames are
+kept in out/benchmarks/averages, and an interrupted command continues from them. Each seed is a run and a row of the
+record.
 
     python benchmarks/water/averages.py --fs 2 4 8 --seeds 1 2
     python benchmarks/water/averages.py --fs 8 --ensemble NPT --offset
