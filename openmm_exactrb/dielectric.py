@@ -73,14 +73,12 @@ def dielectric_constant(
     """
     M = checks.array(moments, "moments", _ASKED)
     if M.ndim != 2 or M.shape[1] != 3:
-        raise ValueError(
-            f"moments must have the shape (n, 3), a row of three numbers for each of n frames, not {M.shape}"
-        )
+        raise ValueError(f"moments must have the shape (n, 3), with one row for each of n frames, not {M.shape}")
     if not (fine := (np.abs(M) < _LARGEST).all(axis=1)).all():
         row = int(np.argmin(fine))
         raise ValueError(f"moments must be finite numbers below {_LARGEST:g}, but row {row} is {M[row].tolist()}")
     if not 2 <= checks.whole(blocks, "blocks", least=0) <= len(M):
-        raise ValueError(f"blocks must be at least 2 and at most the number of moments, {len(M)}, not {blocks}")
+        raise ValueError(f"blocks must be between 2 and the number of moments, {len(M)}, not {blocks}")
     volume, kT = checks.positive(volume, "volume", "nm³"), checks.positive(kT, "kT", "kJ/mol")
     Q = reaction(dielectric)
     means = np.array([np.mean(block**2, axis=0) for block in np.array_split(M, blocks)])

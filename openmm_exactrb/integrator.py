@@ -246,7 +246,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
                 f"bind() takes an openmm.Context, such as simulation.context, not {type(context).__name__}"
             )
         if context.getIntegrator() is not self and getattr(context, "_integrator", None) is not self:
-            raise ValueError("this Context was made with another integrator: call bind() of that integrator")
+            raise ValueError("this Context belongs to another integrator: call bind() on that integrator")
         self._context, self._propagator = weakref.ref(context), None
 
     # -- steps ------------------------------------------------------------------------------------------------------
@@ -289,7 +289,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         if not self._at_work.acquire(blocking=False):
             raise RuntimeError(
                 "this integrator is already performing a step, in another thread or from a force that calls it: wait "
-                "until step() has returned, and give each thread an integrator and a Context of its own"
+                "until step() has returned, and give each thread its own integrator and Context"
             )
 
     def _settings(self) -> Settings:
@@ -303,7 +303,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         """Return the step size in ps, from the step size or from the interval between force evaluations."""
         if (size is None) == (interval is None):
             raise ValueError(
-                "give either stepSize=, the time of a step, or forceInterval=, the time between two force evaluations"
+                "give either stepSize= (the time of a step) or forceInterval= (the time between two force evaluations)"
             )
         if interval is None:
             return picoseconds(size)

@@ -96,7 +96,7 @@ class EnergyReporter(_Lines):
         """
         if not isinstance(simulation.integrator, ExactRigidBodyIntegrator):
             raise ValueError(
-                f"EnergyReporter needs an ExactRigidBodyIntegrator, but this Simulation has a "
+                "EnergyReporter needs an ExactRigidBodyIntegrator, but this Simulation has "
                 f"{type(simulation.integrator).__name__}: use openmm.app.StateDataReporter"
             )
         return {"steps": self._steps_left(simulation), "periodic": None, "include": ["energy"]}

@@ -38,7 +38,7 @@ def loadState(target: app.Simulation | openmm.Context, source: str | os.PathLike
     """
     context = target.context if isinstance(target, app.Simulation) else target
     if not isinstance(context, openmm.Context):
-        raise ValueError(f"a State is loaded into a Simulation or a Context, not into {type(target).__name__}")
+        raise ValueError(f"a State can be loaded into a Simulation or a Context, but not into {type(target).__name__}")
     if not isinstance(source, (str, os.PathLike, openmm.State)):
         raise ValueError(f"give a State, or a file that simulation.saveState wrote, not {type(source).__name__}")
     state = source if isinstance(source, openmm.State) else read_xml(source, openmm.State, "simulation.saveState")
@@ -82,6 +82,6 @@ def read_xml(file: str | os.PathLike[str], kind: type[Any], writer: str = "openm
         ) from None
     if not isinstance(content, kind):
         raise ValueError(
-            f"{file} holds a {type(content).__name__}, not a {kind.__name__}: give the file of a {kind.__name__}"
+            f"{file} contains type {type(content).__name__}, not {kind.__name__}: give a file of type {kind.__name__}"
         )
     return content

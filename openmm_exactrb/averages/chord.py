@@ -61,7 +61,7 @@ class Chords:
             if len(own) > _LARGEST:
                 raise ValueError(
                     f"averages of LangevinMiddleIntegrator cannot be corrected with {len(own)} constraints in one "
-                    "cluster: constrain bonds with hydrogens only (HBonds), or use ExactRigidBodyLangevinIntegrator"
+                    "cluster: constrain only bonds to hydrogen (HBonds), or use ExactRigidBodyLangevinIntegrator"
                 )
             differences = np.eye(len(masses))[own[:, 0]] - np.eye(len(masses))[own[:, 1]]
             held = _Held(particles[:, own], differences / masses @ differences.T)
@@ -77,8 +77,8 @@ class Chords:
         particles_with_mass = sum(kind.particles.size for kind in bodies.kinds)
         if 3 * particles_with_mass - lost != bodies.translational_freedom + bodies.rotational_freedom:
             raise ValueError(
-                "averages of LangevinMiddleIntegrator cannot be corrected for linear molecules of more than two "
-                "constrained atoms or nearly planar ones of more than three: use ExactRigidBodyLangevinIntegrator"
+                "averages of LangevinMiddleIntegrator cannot be corrected for linear molecules with more than two "
+                "constrained atoms, or nearly planar ones with more than three: use ExactRigidBodyLangevinIntegrator"
             )
 
     def mean(self, x: Array, kT: float) -> float:

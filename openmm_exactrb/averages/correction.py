@@ -283,5 +283,5 @@ def _checked(file: str | os.PathLike[str]) -> tuple[Settings, Columns]:
     settings, columns = read(file)
     frames = len(columns["step"])
     if frames < _FEWEST:
-        raise ValueError(f"{file} has {frames} frames, but error estimates need at least {_FEWEST}: run longer")
+        raise ValueError(f"{file} has {frames} frames, but error estimates need at least {_FEWEST}: extend the run")
     return settings, columns | {FRAME: np.arange(float(frames))}

@@ -108,7 +108,7 @@ def dynamics_of(simulation: Any) -> Dynamics:
     dynamics = (_of_openmm if theirs else _of_this_package)(simulation, frictions)
     if not dynamics.temperature:
         raise ValueError(
-            "averages can be corrected only at a temperature above 0 K: pass one to integrator.setTemperature"
+            "averages can be corrected only at a temperature above 0 K: set it with integrator.setTemperature"
         )
     return dynamics
 

@@ -176,8 +176,8 @@ def read(file: str | os.PathLike[str]) -> tuple[Settings, dict[str, Array]]:
     settings = _settings(lines[0])
     if settings is None:
         raise ValueError(
-            f"{file} was written by another version of openmm_exactrb: read the file with that version, "
-            "or run the simulation again with this one"
+            f"{file} was written by another version of openmm_exactrb: read the file with that version, or run the "
+            "simulation again with this version"
         )
     names = [name.split(" (")[0] for name in lines[1].split(",")]
     rows = [line.split(",") for line in lines[2:]]

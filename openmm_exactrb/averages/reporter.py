@@ -97,9 +97,9 @@ class AverageReporter:
             )
         if self._changing(simulation) != self._present:
             raise ValueError(
-                "the step size, the thermostat, the force groups, a parameter of the Context or (by reinitialize) the "
-                f"System has changed since the first frame in {self._file}: replace this AverageReporter by one with "
-                "another file"
+                "the step size, the thermostat, the force groups, a parameter of the Context, or (by reinitialize) "
+                f"the System has changed since the first frame in {self._file}: use a new AverageReporter with another "
+                "file"
             )
         values = [state.getTime().value_in_unit(unit.picosecond), *frames.row(state, self._observables)]
         self._out.write(",".join([str(simulation.currentStep), *(repr(float(v)) for v in values)]) + "\n")
@@ -179,7 +179,7 @@ def _barostat(context: Any) -> tuple[str, float]:
 
 def _named(observables: Any) -> dict[str, Observable]:
     """Return the observables by name; raise ValueError if a name or a function is not valid."""
-    asked = "observables must be a mapping of names to functions of the positions"
+    asked = "observables must be a mapping from names to functions of the positions"
     if observables is None:
         return {}
     if not isinstance(observables, Mapping):
@@ -192,8 +192,8 @@ def _named(observables: Any) -> dict[str, Observable]:
         plain_text = name.isprintable() and name == name.strip() != "" and not set(name) & set(',("')
         if name in READY or not plain_text or any(columns.count(column) > 1 for column in of_observable(name)):
             raise ValueError(
-                f"an observable cannot have the name {name!r}: choose a name that contains no commas, brackets or "
-                "quotation marks, and that differs from the names of the ready-made observables and of the columns"
+                f"an observable cannot have the name {name!r}: choose a name without commas, brackets or quotation "
+                "marks that is not the name of a ready-made observable or a column"
             )
     return dict(observables)
 
@@ -204,7 +204,7 @@ def _around(around: Any) -> tuple[list[int], float]:
         raise ValueError(f"around must consist of particles and a distance, not {reprlib.repr(around)}")
     (particles,) = checks.lists_of_indices([around[0]], "the particles of around")
     if not particles or min(particles) < 0:
-        raise ValueError(f"around must name one particle or more, by indices from 0, not {reprlib.repr(around[0])}")
+        raise ValueError(f"around must name at least one particle, by indices from 0, not {reprlib.repr(around[0])}")
     distance = checks.positive(plain(around[1], unit.nanometer, "a distance"), "the distance of around", of="nm")
     return particles, distance
 

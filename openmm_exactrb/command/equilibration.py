@@ -74,7 +74,7 @@ def step_of(
     options = {"target": args.target, "schemes": candidates(args), "budget": args.budget}
     result = tune(box.system, start, platform=platform, report=report, **options)
     if result.chosen is None:
-        raise ValueError(f"{str(result).splitlines()[-1].rstrip('.')}: pass a larger --target, or a step with --step")
+        raise ValueError(f"{str(result).splitlines()[-1].rstrip('.')}: pass a larger --target, or set --step")
     if not args.quiet:
         print(result.chosen, file=sys.stderr)
     options, step = result.chosen.options(), result.chosen.step

@@ -140,7 +140,7 @@ def _serialised(args: argparse.Namespace) -> Box:
     if len(positions) != system.getNumParticles():
         raise ValueError(
             f"the State in {args.files[1]} has {len(positions)} particles, but the System in {args.files[0]} has "
-            f"{system.getNumParticles()}: give two files of the same run"
+            f"{system.getNumParticles()}: give files of the same run"
         )
     return Box(topology_of(system, state), system, positions, state)
 
@@ -252,7 +252,7 @@ def topology_of(system: openmm.System, state: openmm.State) -> app.Topology:
     in_order = [i for molecule in molecules for i in molecule]
     if in_order != list(range(system.getNumParticles())):  # a Topology requires this order
         raise ValueError(
-            "the particles of different molecules are interleaved in the System: give their PDB or PDBx file instead"
+            "the particles of different molecules are interleaved in the System: give a PDB or PDBx file instead"
         )
     topology = app.Topology()
     chain = topology.addChain()

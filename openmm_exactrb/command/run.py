@@ -109,7 +109,7 @@ def _scheme_of(args: argparse.Namespace) -> Scheme:
     scheme = known(args.scheme or default)
     if args.step is None and args.force_interval is None and args.scheme in WITH_THERMOSTAT:
         raise ValueError(
-            f"--step auto tunes at constant energy, but {args.scheme} contains a thermostat: give a --step"
+            f"--step auto tunes at constant energy, but {args.scheme} contains a thermostat: give --step a value"
         )
     return scheme
 

@@ -37,7 +37,7 @@ def couple(system: openmm.System, args: argparse.Namespace) -> None:
     if args.ensemble != "npt":
         return
     if not system.usesPeriodicBoundaryConditions():
-        raise ValueError("--ensemble npt needs a periodic box: give a file with one, or --solvate")
+        raise ValueError("--ensemble npt needs a periodic box: give a file with a box, or --solvate")
     barostat = openmm.MonteCarloBarostat(args.pressure * unit.bar, args.temperature * unit.kelvin)
     barostat.setRandomNumberSeed(args.seed)
     system.addForce(barostat)

@@ -173,7 +173,7 @@ class BodyAccess:
             if self.getNamedBodies():
                 raise ValueError(
                     "bodies named by hand cannot be minimised together with flexible molecules with constraints: "
-                    "minimise with an integrator without bodies= before you create the one with bodies="
+                    "minimise first, with an integrator without bodies="
                 )
             start = sync.held()[0]
             try:
@@ -185,7 +185,7 @@ class BodyAccess:
                 sync.context.setPositions(start)
                 raise ArithmeticError(
                     "OpenMM's minimiser could not satisfy the constraints, and positions are unchanged: remove "
-                    "overlaps with short steps at high friction and checkDivergence=False"
+                    "overlaps by short steps at high friction with checkDivergence=False"
                 ) from error
             sync.push()
             return
@@ -213,11 +213,11 @@ class BodyAccess:
         """
         sync = self._up_to_date().sync
         if not isinstance(state, BodyState | State):
-            raise ValueError(f"setBodyState() takes the state in bodyState()[1], not {type(state).__name__}")
+            raise ValueError(f"setBodyState() takes a state such as bodyState()[1], not {type(state).__name__}")
         full = state if isinstance(state, State) else State.of(state)
         if any(a.shape != b.shape or not np.isfinite(a).all() for a, b in zip(full, sync.state, strict=True)):
             raise ValueError(
-                "the state must have one row of finite numbers for each body: pass one that bodyState() returned"
+                "the state must have one row of finite numbers for each body: pass a state that bodyState() returned"
             )
         if not (np.abs((full.q[0] ** 2).sum(axis=0) - 1.0) < 2e-9).all():
             raise ValueError("orientations must be quaternions of unit length: divide each by its norm")

@@ -55,6 +55,6 @@ def _chosen(bodies: RigidBodies, name: str, particles: list[int]) -> NDArray[np.
     if left_out.any():
         raise ValueError(
             f"group {name!r} contains only some particles of {bodies.name(int(owner[np.argmax(left_out)]))}: name all "
-            "or none, since they move together"
+            "of its particles, or none"
         )
     return chosen

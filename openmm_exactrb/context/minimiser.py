@@ -32,7 +32,7 @@ def minimise_by_integrators(kind: type[Any]) -> None:
         if reporter is not None:
             raise ValueError(
                 "minimisation with bodies named by hand, or constraints that follow from others, does not support "
-                "reporter=: omit it"
+                "reporter=: omit reporter="
             )
         integrator.minimizeEnergy(tolerance, maxIterations)
 

@@ -70,14 +70,14 @@ class ContextUpdates:
         """Raise ValueError for a second thermostat, or a barostat at another temperature (K) than the integrator."""
         if self.pushes:
             raise ValueError(
-                "the System has an AndersenThermostat, but this integrator has a thermostat too: remove the "
+                "the System has an AndersenThermostat, but this integrator also has a thermostat: remove the "
                 "AndersenThermostat from the System, or use ExactRigidBodyIntegrator"
             )
         for parameter, name in self.temperatures.items():
             own = context.getParameter(parameter)
             if not math.isclose(own, temperature, rel_tol=1e-9):
                 raise ValueError(
-                    f"the {name} is at {own:g} K, the integrator at {temperature:g} K: set the {name} with "
+                    f"the {name} is at {own:g} K, but the integrator is at {temperature:g} K: set the {name} with "
                     f"context.setParameter({parameter!r}, {temperature:g}), or the integrator with "
                     f"integrator.setTemperature({own:g})"
                 )
@@ -185,7 +185,7 @@ def _check_torn_bodies(context: openmm.Context, barostats: list[Any], named: Seq
         if not getattr(barostat, "getScaleMoleculesAsRigid", lambda: True)():
             name = type(barostat).__name__
             raise ValueError(
-                f"the {name} would change distances within bodies: call setScaleMoleculesAsRigid(True) of this barostat"
+                f"the {name} would change distances within bodies: call setScaleMoleculesAsRigid(True) on this barostat"
             )
     if not barostats or not named:
         return
@@ -193,8 +193,9 @@ def _check_torn_bodies(context: openmm.Context, barostats: list[Any], named: Seq
     for number, body in enumerate(named):
         if len({molecule[particle] for particle in body}) > 1:
             raise ValueError(
-                f"a barostat would tear body {number} (particles {', '.join(map(str, body))}), which OpenMM does not "
-                f"treat as one molecule: join its particles by bonds, such as those of a HarmonicBondForce with k = 0"
+                f"a barostat would tear apart body {number} (particles {', '.join(map(str, body))}), which OpenMM does "
+                "not treat as one molecule: join its particles by bonds, such as those of a HarmonicBondForce with k "
+                "= 0"
             )
 
 

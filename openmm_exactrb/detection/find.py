@@ -108,7 +108,7 @@ def _flexible(particles: Indices, masses: Array, distances: Array, positions: Ar
         i, j = particles[0, pairs[worst]]
         raise ValueError(
             f"the constraint of particles {i} and {j} to {kind.lengths[worst]:g} nm follows from the others of "
-            f"{kind.name(0)}, but differs from them by {missed[worst]:.2g} nm: correct or remove this constraint"
+            f"{kind.name(0)}, but contradicts them by {missed[worst]:.2g} nm: correct or remove this constraint"
         )
     x = on_constraints(particles[:1], masses, distances, positions)[particles[:1]]
     lengths = np.linalg.norm(x[0, pairs[:, 0]] - x[0, pairs[:, 1]], axis=1)
@@ -139,19 +139,19 @@ def _named_bodies(system: openmm.System, masses: Array, bodies: Sequence[Sequenc
         if not system.isVirtualSite(particle):
             raise ValueError(
                 f"particle {particle} of body {owner[particle]} has no mass: set a mass in the System, or omit the "
-                "particle in bodies="
+                "particle from bodies="
             )
     named = []
     for number, body in enumerate(bodies):
         particles = np.array(sorted(body), dtype=np.intp)
         massive = particles[masses[particles] > 0.0]
         if not len(massive):
-            raise ValueError(f"body {number} has no particle with mass: name at least one in bodies=")
+            raise ValueError(f"body {number} has no particle with mass: include a particle with mass")
         if len(particles) > 2 * len(massive):
             warn(
                 f"body {number} has the mass and inertia of {len(massive)} particles, because the other "
                 f"{len(particles) - len(massive)} are virtual sites: if createRigidBodies or set_rigid_bodies made "
-                "them, create the System again without that call, and pass the same bodies=",
+                "these sites, create the System without that call, and pass the same bodies=",
                 ShapeWarning,
             )
         named.append(massive)
@@ -168,8 +168,8 @@ def _clusters(held: Rows, masses: Array, given: list[Indices]) -> Iterable[tuple
     if leading_out.any():
         p, q = pairs[np.argmax(leading_out)]
         raise ValueError(
-            f"the constraint between particles {p} and {q} joins a body given in bodies= to a particle outside it: put "
-            "both particles into the same body, or remove this constraint"
+            f"the constraint between particles {p} and {q} joins a body given in bodies= to a particle outside this "
+            "body: put both particles into the same body, or remove this constraint"
         )
     links = [pairs, *(np.column_stack([np.full(len(b), b[0]), b]) for b in given)]
     rows, columns = np.concatenate(links).T

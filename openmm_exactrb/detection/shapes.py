@@ -48,7 +48,7 @@ def on_constraints(particles: Indices, masses: Array, distances: Array, position
     """
     X = positions[particles]
     if not np.isfinite(X).all():
-        raise ValueError("positions are not finite: set finite ones before the first step")
+        raise ValueError("positions are not finite: set finite positions before the first step")
     first, second = np.nonzero(np.triu(~np.isnan(distances), 1))
     if not len(first):  # without constraints, the shape is that of the positions
         return positions
@@ -176,7 +176,7 @@ def _kind(particles: Indices, masses: Array, distances: Array) -> Kind:
     if residual > RESIDUAL * distances.max():
         raise ValueError(
             f"the constraints between particles {', '.join(map(str, particles[0]))} cannot be satisfied in three "
-            f"dimensions (the fitted positions violate them by up to {residual:.2g} nm): correct their lengths"
+            f"dimensions (the fitted positions violate them by up to {residual:.2g} nm): correct the lengths"
         )
     # The largest spread comes first, so that moments ascend and a linear body lies along axis 1.
     return Kind(particles, slice(0), masses, sites[None], mass, (spread.sum() - spread)[None])

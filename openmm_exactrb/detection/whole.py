@@ -117,9 +117,9 @@ def _check_doubtful_bonds(x: Array, links: Links, found: Decided, owner: Indices
     gap = x[q] - x[p]
     nearest = np.linalg.norm(gap - np.round(gap @ np.linalg.inv(box)) @ box)
     raise ValueError(
-        f"particles {p} and {q} of body {owner[p]} are {np.linalg.norm(gap):.3g} nm apart as given and "
-        f"{nearest:.3g} nm across the periodic box, and neither is the length of their bond: set the length of this "
-        f"bond in the HarmonicBondForce to the distance of the particles in the whole body"
+        f"particles {p} and {q} of body {owner[p]} are {np.linalg.norm(gap):.3g} nm apart as given, or {nearest:.3g} "
+        "nm across the periodic box, but neither distance is the length of their bond: set the length of this bond in "
+        "the HarmonicBondForce to their distance in the whole body"
     )
 
 
@@ -182,8 +182,8 @@ def _by_common_shape(X: Array, box: Array) -> tuple[Array, NDArray[np.bool_]]:
         if longest > _CLEAR * half_width(box):
             raise ValueError(
                 f"the shapes of bodies of {len(near[0])} particles with the same masses differ by widths of the "
-                f"periodic box, and a gap of at least {longest:.3g} nm within a body is too wide to decide which shape "
-                "is whole: " + _REMEDY
+                f"periodic box, and a gap of at least {longest:.3g} nm within a body makes it unclear which shape is "
+                "whole: " + _REMEDY
             )
         return _joined_to(near[0], X, box), confirmed
     common = _common_images(X, box)
@@ -253,8 +253,8 @@ def _say(number: int, X: Array, box: Array, split: bool) -> None:
     if split and (torn or across > clear):
         raise ValueError(
             f"the periodic box has split molecules, and the shape of body {number} is ambiguous, because the gap of "
-            f"{given:.3g} nm between its particles may be one of {across if torn else 4.0 * clear - given:.3g} nm "
-            f"across the box: {_REMEDY}"
+            f"{given:.3g} nm between its particles may be {across if torn else 4.0 * clear - given:.3g} nm across the "
+            f"box: {_REMEDY}"
         )
     fitting = across <= _FITTING * steps[steps <= across * (1.0 + 1e-6)].max(initial=0.0)
     likely = (in_cell or given > 4.0 * clear) and (len(X) > 2 or across < clear)

@@ -69,7 +69,7 @@ def as_completed(
         if not isinstance(job, Job):
             raise TypeError(f"jobs must be Job objects, not {job!r}")
     if scheduler is not None and workers is not None:
-        raise ValueError("a scheduler has its own workers: give either scheduler or workers")
+        raise ValueError("a scheduler has its own workers: pass either scheduler= or workers=")
     if workers is not None:
         workers = whole(workers, "workers")
     try:
@@ -77,7 +77,7 @@ def as_completed(
         from tqdm import tqdm
     except ImportError as error:
         raise ImportError(
-            f"ensembles need dask and tqdm ({error}): run python -m pip install 'dask[distributed]' tqdm"
+            f"ensembles need dask and tqdm ({error}): run `python -m pip install 'dask[distributed]' tqdm`"
         ) from error
     Path(folder).mkdir(parents=True, exist_ok=True)
     results = _results(distinct, Path(folder), scheduler, workers)

@@ -50,7 +50,7 @@ def _fields(future: distributed.Future) -> dict[str, Any]:
         return dict(future.result())
     except distributed.CancelledError as error:
         raise ConnectionError(
-            "lost the connection to the scheduler, but stored results are kept: repeat the call to continue"
+            "the connection to the scheduler was lost, but stored results are kept: repeat the call to continue"
         ) from error
     except distributed.KilledWorker:
         return {
@@ -102,7 +102,7 @@ def client_of(scheduler: str | None, workers: int | None, jobs: int) -> Iterator
         client = distributed.Client(scheduler, timeout=TIMEOUT, set_as_default=False)
     except (OSError, TypeError, ValueError) as error:
         raise ConnectionError(
-            f"no dask scheduler answers at {scheduler!r} ({error}): check the address, or start one"
+            f"no dask scheduler answers at {scheduler!r} ({error}): check the address, or start a scheduler"
         ) from error
     with client:
         yield client

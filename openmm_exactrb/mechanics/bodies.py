@@ -199,7 +199,7 @@ class RigidBodies:
         for kind in self.kinds:
             if kind.bodies.start <= body < kind.bodies.stop:
                 return f"body {body} (particles {', '.join(map(str, kind.particles[body - kind.bodies.start]))})"
-        raise IndexError(f"there is no body {body}: bodies have the numbers 0 to {len(self) - 1}")
+        raise IndexError(f"there is no body {body}: use a number from 0 to {len(self) - 1}")
 
 
 class Part:

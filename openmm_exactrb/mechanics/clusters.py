@@ -144,20 +144,21 @@ class ClusterKind:
         if bad.any():
             raise ValueError(
                 f"particle {self.particles[0, np.argmax(bad)]} of {self.name(0)} has the mass "
-                f"{self.masses[np.argmax(bad)]:g}, but a constraint needs masses at both ends: set a mass or "
-                "remove its constraints"
+                f"{self.masses[np.argmax(bad)]:g}, but a constraint needs masses at both ends: set its mass, or remove "
+                "its constraints"
             )
         bad = ~((self.lengths > 0.0) & np.isfinite(self.lengths)) | (self.pairs[:, 0] == self.pairs[:, 1])
         if bad.any():
             i, j = self.particles[0, self.pairs[np.argmax(bad)]]
             raise ValueError(
                 f"the constraint of particles {i} and {j} to {self.lengths[np.argmax(bad)]:g} nm cannot be kept, "
-                "because a constraint needs two different particles and a positive length: correct or remove it"
+                "because a constraint needs two different particles and a positive length: correct or remove this "
+                "constraint"
             )
         if len(self.pairs) > LARGEST:
             raise ValueError(
                 f"{len(self.pairs)} constraints hold {self.name(0)} together, but at most {LARGEST} are supported: "
-                "create the System with constraints=HBonds, which constrains hydrogens only"
+                "create the System with constraints=HBonds, which constrains only bonds to hydrogen"
             )
         independence, constraint = self.most_dependent(_anywhere(len(self.masses)))
         if independence.max() < _INDEPENDENT:

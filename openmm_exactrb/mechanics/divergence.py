@@ -30,8 +30,8 @@ _FEW = 10_000
 _ROUNDED, _NOTHING = 1e-4, 1e-6
 #: What the Context holds after a step or call that diverged, and what to do.
 ADVICE = (
-    "The Context keeps the state before this {}: use a smaller step size (numbers without a unit are ps), or minimise "
-    "the energy first"
+    "The Context keeps the state before this {}: use a smaller step size (numbers without a unit are in ps), or "
+    "minimise the energy first"
 )
 
 # Number of samples in a mean, at least one relaxation time of the thermostat apart, and number of relaxation times
@@ -109,7 +109,7 @@ class DivergenceCheck:
         if len(bad):
             names = "; ".join(self._bodies.name(int(b)) for b in bad[:3])
             more = f" and {len(bad) - 3} more" if len(bad) > 3 else ""
-            raise NonFiniteError(self._message(f"not finite or faster than light: {names}{more}"))
+            raise NonFiniteError(self._message(f"bodies are not finite or faster than light: {names}{more}"))
 
     def of_inner_steps(self, bodies: RigidBodies) -> Callable[[State], None]:
         """Return a check of selected bodies after inner steps.
@@ -129,7 +129,7 @@ class DivergenceCheck:
         """Raise IntegrationError if the mean kinetic energy (kJ/mol) of bodies within inner steps exceeds `hottest`."""
         if not mean <= self.hottest:  # so that nan is too hot
             raise IntegrationError(
-                self._message(f"a mean kinetic energy of {mean:.3g} kJ/mol per body in the inner steps")
+                self._message(f"the mean kinetic energy in the inner steps is {mean:.3g} kJ/mol per body")
             )
 
     def leave(self, state: State) -> None:
@@ -240,9 +240,9 @@ class Overheating:
             if excess > _TOO_HOT + _ERRORS * math.sqrt(2.0 / (freedom * _SAMPLES)):
                 self._told = True
                 warn(
-                    f"the temperature of the {name} is {100.0 * excess:.0f} % above that of the thermostat, "
-                    f"averaged over {duration:.3g} ps, which the friction does not explain: use a "
-                    "smaller step size, or a higher friction",
+                    f"averaged over {duration:.3g} ps, the temperature of the {name} is {100.0 * excess:.0f} % above "
+                    "that of the thermostat, more than the friction explains: use a smaller step size, or a higher "
+                    "friction",
                     StepSizeWarning,
                 )
                 return

@@ -118,8 +118,8 @@ def _check_finite(bodies: RigidBodies, chosen: Indices, values: Array) -> None:
     bad = ~np.isfinite(values).all(axis=(1, 2))
     if bad.any():
         raise ValueError(
-            f"positions or velocities of {bodies.name(int(chosen[np.argmax(bad)]))} are not finite: "
-            "set finite ones before the next step"
+            f"positions or velocities of {bodies.name(int(chosen[np.argmax(bad)]))} are not finite: set finite values "
+            "before the next step"
         )
 
 

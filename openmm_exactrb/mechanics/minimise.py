@@ -75,7 +75,7 @@ def minimised(
             reach *= 0.1
     warn(
         f"the minimisation ended with a force of {force:.3g} kJ/mol/nm, above the tolerance of {tolerance:.3g}, "
-        "because the energy stopped falling: use a larger tolerance, or forces in double precision",
+        "because the energy stopped decreasing: use a larger tolerance, or forces in double precision",
         MinimisationWarning,
     )
     return search.state

@@ -35,10 +35,10 @@ _SECOND_ORDER, _HIGHER_ORDER, _WITH_HEAT_EXCHANGE = ("S2_2", 0.05), ("SRKN4_6b",
 _LONGEST_PLAIN = 1.0 / 16.0
 
 _NO_PERIOD = (
-    "the fast forces have no bonds, and no harmonic angles between bonds of known length, so that the fastest period "
-    "is unknown: set the number of inner steps per step with innerSteps="
+    "the fast forces have no bonds, and no harmonic angles between bonds of known length, so the fastest period is "
+    "unknown: set the number of inner steps per step with innerSteps="
 )
-_NO_INNER_STEPS = "there are no inner steps: "
+_NO_INNER_STEPS = "there are no inner steps, because "
 #: Values of `fast` other than force groups: bonded forces are fast where this is useful, or wherever they exist.
 AUTO, BONDED = "auto", "bonded"
 
@@ -70,7 +70,7 @@ class MultipleTimeSteps:
         scheme = None if inner is None else look_up(inner)
         if scheme is not None and ({substep for substep, _ in scheme.sequence} != {DRIFT, KICK} or scheme.processor):
             raise ValueError(
-                f"the inner scheme {scheme.name} must consist of drifts and kicks alone: use S2_2, for example"
+                f"the inner scheme {scheme.name} must consist only of drifts and kicks: choose a scheme such as S2_2"
             )
         if steps is not None:
             steps = whole(steps, "innerSteps")
@@ -104,7 +104,7 @@ def _groups(fast: Any) -> tuple[int, ...]:
     if not groups or not groups <= set(range(32)):
         raise ValueError(
             f'fast must be "auto", None, "bonded" or force groups such as (1, 2), not {reprlib.repr(fast)}: '
-            "force.getForceGroup() returns the group of a force"
+            "call force.getForceGroup() for the group of a force"
         )
     return tuple(sorted(groups))
 
@@ -158,15 +158,15 @@ class FastForces:
         groups = sorted({s.group for s, _ in outer.sequence if isinstance(s, Kick) and s.group is not None})
         if self.settings.fast == BONDED and groups:
             raise ValueError(
-                f"scheme {outer.name} has kicks by single force groups ({', '.join(map(str, groups))}), which may "
+                f"scheme {outer.name} has kicks with single force groups ({', '.join(map(str, groups))}), which may "
                 "contain bonded forces: put the fast forces into a group that no kick uses, and name this group in "
                 "fast=, such as fast=(7,)"
             )
         twice = [group for group in groups if group in self.named]
         if twice:
             raise ValueError(
-                f"scheme {outer.name} kicks force group {twice[0]} alone, but fast= names this group too, so that its "
-                "forces would act twice: remove the group from fast= or from the scheme"
+                f"scheme {outer.name} has a kick with force group {twice[0]} alone, but fast= also names this group, "
+                "so its forces would act twice: remove the group from fast= or from the scheme"
             )
         if self.settings.asked_for or not outer.stages:
             return self.settings.asked_for
@@ -207,12 +207,12 @@ def _bonded(system: openmm.System, bodies: RigidBodies, settings: MultipleTimeSt
         return FastForces(settings, frequency, excerpt) if frequency and others(system) else None
     if excerpt is None:
         raise ValueError(
-            "the System has no bonded forces that change its motion, so that inner steps are of no use: "
-            "omit fast=, inner= and innerSteps="
+            "the System has no bonded forces that change its motion, so inner steps are of no use: omit fast=, inner= "
+            "and innerSteps="
         )
     if not others(system):
         raise ValueError(
-            "all forces of the System are bonded, so that no forces remain for the outer steps: omit fast=, inner= and "
+            "all forces of the System are bonded, so no forces remain for the outer steps: omit fast=, inner= and "
             "innerSteps="
         )
     if settings.steps is None and not frequency:
@@ -225,13 +225,13 @@ def _of_groups(system: openmm.System, settings: MultipleTimeSteps) -> FastForces
     groups = tuple(group for group in map(int, settings.fast) if group in present)
     if not groups:
         warn(
-            f"{_NO_INNER_STEPS}the force groups of fast=, {', '.join(map(str, settings.fast))}, contain no forces, and "
-            f"the force groups of this System are {', '.join(map(str, sorted(present))) or 'empty'}"
+            f"{_NO_INNER_STEPS}the force groups of fast=, {', '.join(map(str, settings.fast))}, contain no forces: "
+            f"choose from the force groups of this System, {', '.join(map(str, sorted(present))) or 'empty'}"
         )
         return None
     if present <= set(groups):
         raise ValueError(
-            "fast= names all forces of the System, so that no forces remain for the outer steps: name fewer groups"
+            "fast= names all forces of the System, so no forces remain for the outer steps: name fewer groups"
         )
     frequency = fastest(system, groups)
     if not frequency and settings.steps is None:

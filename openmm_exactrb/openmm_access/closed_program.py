@@ -16,8 +16,8 @@ def _closed(name: str) -> Any:
     def raising(self: Any, *arguments: Any, **options: Any) -> Any:
         if self._made:
             raise ValueError(
-                f"{type(self).__name__} has no {name}(): its steps are defined by a Scheme, so put a "
-                "Substep of your own into the sequence of a Scheme (docs: For contributors, A substep)"
+                f"{type(self).__name__} has no {name}(), because its steps are defined by a Scheme: put your own "
+                "Substep into the sequence of a Scheme (docs: For contributors, A substep)"
             )
         return method(self, *arguments, **options)
 

@@ -17,7 +17,8 @@ def find_context(integrator: openmm.Integrator) -> openmm.Context:
         gc.freeze()
     if context is None:
         raise ValueError(
-            "the integrator has no Context yet: create a Simulation or a Context with it first, or call bind(context)"
+            "the integrator has no Context yet: create a Simulation or a Context with the integrator, or call "
+            "bind(context)"
         )
     return context
 

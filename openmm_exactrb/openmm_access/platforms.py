@@ -40,7 +40,7 @@ def platform_of(name: str | openmm.Platform | None = None) -> openmm.Platform:
     if not wanted:
         return next(platform for name, platform in found.items() if not why_not_by_default(name))
     if str(wanted).lower() not in by_case:
-        raise ValueError(f"there is no platform {wanted!r} here: choose one of {', '.join(found)}")
+        raise ValueError(f"platform {wanted!r} is not available: choose one of {', '.join(found)}")
     return found[by_case[str(wanted).lower()]]
 
 

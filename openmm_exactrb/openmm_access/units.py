@@ -24,7 +24,7 @@ def plain(value: Any, in_unit: unit.Unit, what: str) -> float:
     if unit.is_quantity(value):
         if not quantity.unit.is_compatible(in_unit):
             raise ValueError(
-                f"{value} is not {what}: give it in {in_unit.get_symbol()}, or as a Quantity with compatible units"
+                f"{value} is not {what}: give a number in {in_unit.get_symbol()}, or a Quantity with compatible units"
             )
         quantity = quantity.value_in_unit(in_unit)
     return checks.number(quantity, what, in_unit.get_symbol())
@@ -65,6 +65,6 @@ def check_first_arguments(step: Any, scheme: Any) -> None:
     if warm or unit.is_quantity(scheme) or isinstance(scheme, (int, float)):
         raise ValueError(
             "ExactRigidBodyIntegrator takes a step size and the name of a scheme, such as "
-            "ExactRigidBodyIntegrator(0.004*picoseconds, 'S2_2'), and no temperature or friction: "
-            "use ExactRigidBodyLangevinIntegrator with these"
+            "ExactRigidBodyIntegrator(0.004*picoseconds, 'S2_2'), but no temperature or friction: use "
+            "ExactRigidBodyLangevinIntegrator for these"
         )

@@ -72,7 +72,7 @@ class _Periodic:
     def distances(self, box: Edges | None) -> tuple[float, float]:
         """Return cutoff and start of the switch (nm); raise ValueError if there is no box or it is too small."""
         if box is None:
-            raise ValueError(f"{self} needs a periodic box: add box=(a, b, c), its edges in nm")
+            raise ValueError(f"{self} needs a periodic box: add box=(a, b, c), with edges in nm")
         cutoff = 0.5 * min(box) if self.cutoff is None else _plain(self.cutoff)
         check_cutoff(cutoff, box)
         switch = 0.75 * cutoff if self.switch is None else _plain(self.switch)
@@ -171,13 +171,15 @@ class Ewald(_Periodic):
                         f"a mesh of {points} points along an edge has a slow Fourier transform: use {fast} points"
                     )
             if np.shape(self.mesh) not in ((), (3,)):
-                raise ValueError(f"mesh must be one number of points, or three, one for each edge, not {self.mesh!r}")
+                raise ValueError(
+                    f"mesh must be one number of points or three numbers, one for each edge, not {self.mesh!r}"
+                )
             points = tuple(map(int, np.ravel(self.mesh)))  # lists and arrays have no hash
             object.__setattr__(self, "mesh", points if len(points) == 3 else points[0])
             if min(np.ravel(self.mesh)) < (self.order or 10) + ewald.LANES:
                 raise ValueError(
-                    f"mesh must have at least order + {ewald.LANES} points along each edge, here "
-                    f"{(self.order or 10) + ewald.LANES}, not {self.mesh!r}"
+                    f"mesh must have at least order + {ewald.LANES} = {(self.order or 10) + ewald.LANES} points along "
+                    f"each edge, not {self.mesh!r}"
                 )
 
     def getParameters(self, n: int, box: Sequence[float]) -> ewald.EwaldParameters:
@@ -263,8 +265,8 @@ def check_cutoff(cutoff: float, edges: Sequence[float], name: str = "cutoff") ->
     half = 0.5 * min(edges)
     if not cutoff <= half * (1.0 + 1e-12):
         raise ValueError(
-            f"{name} must be at most half the box along its shortest edge, {half:g} nm, not {cutoff:g} nm: use a "
-            "shorter cutoff, with room for a barostat to shrink the box, or a larger box"
+            f"{name} must be at most half the shortest edge of the box, {half:g} nm, not {cutoff:g} nm: use a larger "
+            "box, or a shorter cutoff that allows a barostat to shrink the box"
         )
 
 

@@ -150,8 +150,8 @@ def _chosen(kernel: str, *, needs_compiled: bool) -> str:
         raise ValueError(f"unknown kernel {kernel!r}: choose one of auto, openmm, bonds, compiled")
     if needs_compiled and kernel not in ("auto", "compiled"):
         raise ValueError(
-            "only the compiled kernel computes an Ewald sum in a single force: use kernel='compiled', or "
-            "dipole_rod_forces for two forces, or boundary=ReactionField()"
+            "only the compiled kernel computes an Ewald sum in a single force: use kernel='compiled', "
+            "dipole_rod_forces (two forces) or boundary=ReactionField()"
         )
     return "compiled" if kernel == "auto" else kernel
 
@@ -161,8 +161,8 @@ def _check_tips(cutoff: float, length: float, edges: Sequence[float]) -> None:
     half, reach = 0.5 * min(edges), cutoff + 2.0 * length
     if not reach < half:
         raise ValueError(
-            f"kernel='openmm' needs cutoff + 2 * length below half the box, {half:g} nm, but this sum is {reach:g} nm: "
-            "use a shorter cutoff, a larger box, or kernel='bonds'"
+            f"kernel='openmm' needs cutoff + 2 * length below half the shortest edge of the box, {half:g} nm, but this "
+            f"sum is {reach:g} nm: use a shorter cutoff, a larger box, or kernel='bonds'"
         )
 
 
@@ -173,13 +173,11 @@ def checked_pairs(pairs: Any, name: str = "arrow", ends: str = "centre, tip") ->
         raise ValueError(f"soft dipoles need at least one {name}, a pair of particles ({ends}), such as (0, 1)")
     for row in rows:
         if len(row) != 2 or min(row) < 0:
-            raise ValueError(f"each {name} is a pair of particles, {ends}, such as (0, 1), not {tuple(row)}")
+            raise ValueError(f"each {name} must be a pair of particles ({ends}), such as (0, 1), not {tuple(row)}")
     particles = list(itertools.chain(*rows))
     if len({*particles}) < len(particles):
         twice = next(i for i in particles if particles.count(i) > 1)
-        raise ValueError(
-            f"particle {twice} is in two {name}s or twice in one: give each {name} two particles of its own"
-        )
+        raise ValueError(f"particle {twice} occurs twice in the {name}s: give each {name} its own two particles")
     return [(first, second) for first, second in rows]
 
 
@@ -193,9 +191,7 @@ def context_parameters(
     if checks.number(attraction, "attraction"):
         parameters["soft_attraction"] = 4.0 * epsilon * sigma**6 * attraction
     if wca and not (attraction > 0.0 and epsilon > 0.0):
-        raise ValueError(
-            "wca=True needs a positive attraction and a positive epsilon, because otherwise the energy has no minimum"
-        )
+        raise ValueError("wca=True needs an energy with a minimum: give a positive attraction and a positive epsilon")
     return parameters
 
 
@@ -293,6 +289,6 @@ def _minimum(parameters: Mapping[str, float]) -> tuple[float, float]:
     """Return the squared distance (nm²) where the spheres' energy has its minimum, and the depth (kJ/mol)."""
     repulsion = parameters["soft_repulsion"]
     if not repulsion > 0.0:
-        raise ValueError(f"with wca=True the Context parameter soft_repulsion must be positive, not {repulsion}")
+        raise ValueError(f"with wca=True, the Context parameter soft_repulsion must be positive, not {repulsion}")
     ratio = parameters["soft_attraction"] / repulsion
     return (2.0 / ratio) ** (1.0 / 3.0) if ratio > 0.0 else math.inf, 0.25 * ratio**2 * repulsion

@@ -87,8 +87,8 @@ def dipole_rod_forces(
         raise ValueError(f"centres must have one entry for each of the {len(rods)} rods, not {len(centres)}")
     if not cutoff + length < 0.5 * min(edges):
         raise ValueError(
-            f"cutoff + length, {cutoff + length:g} nm, must be below half the box, {0.5 * min(edges):g} nm: use a "
-            "shorter cutoff or shorter rods"
+            f"cutoff + length, {cutoff + length:g} nm, must be below half the shortest edge of the box, "
+            f"{0.5 * min(edges):g} nm: use a shorter cutoff or shorter rods"
         )
     coupling = parameters.pop("dipole_coupling")
     alpha, spacing = _mesh(len(rods), edges, cutoff, length, boundary.tolerance)
@@ -125,7 +125,7 @@ def _distances(n: int, edges: Edges, boundary: Ewald) -> tuple[float, float]:
         raise ValueError(f"rods of charges need boundary=Ewald() with an infinite dielectric, not {boundary!r}")
     if boundary.tolerance < LEAST_TOLERANCE:
         raise ValueError(
-            f"rods of charges reach at best a tolerance of {LEAST_TOLERANCE:g}, not {boundary.tolerance:g}: use a "
+            f"the tolerance of rods of charges must be at least {LEAST_TOLERANCE:g}, not {boundary.tolerance:g}: use a "
             "larger tolerance, or kernel='compiled'"
         )
     if boundary.cutoff is None:

@@ -73,7 +73,7 @@ def long_range_correction(
     spheres = None if wca else cutoff_in(edges, sigma, sphere_cutoff, sphere_switch, shifted=shifted)
     if spheres is None:
         raise ValueError(
-            "long_range_correction needs spheres in a periodic box, without wca: omit long_range_correction="
+            "long_range_correction needs a periodic box and spheres without wca: omit long_range_correction="
         )
     of_repulsion, of_attraction = (2.0 * np.pi * n**2 * _beyond(spheres, p) for p in (12, 6))
     attracts = f" - {float(of_attraction)!r}*soft_attraction" if attraction else ""

@@ -69,7 +69,8 @@ def free_rotor(
         ) from None
     if len(shape) > 1:
         raise ValueError(
-            f"inertia, q0, m0 and t must have one axis of bodies, not {len(shape)}: reshape them, such as q0 to (N, 4)"
+            f"inertia, q0, m0 and t must have one axis of bodies, not {len(shape)}: reshape them, for example q0 to "
+            "(N, 4)"
         )
     n = int(np.prod(shape))
     flow = rotor(method, inertia)

@@ -40,8 +40,8 @@ class Checkpoint(NamedTuple):
             was, now = self.identity.get(name, "not there"), identity.get(name, "not there")
             if was != now:
                 raise ValueError(
-                    f"{file} belongs to another run: there {name} was {was}, but now it is {now}: restore this value, "
-                    "use another folder, or overwrite the run (overwrite=True or --overwrite)"
+                    f"{file} belongs to another run, in which {name} was {was}, but now it is {now}: restore this "
+                    "value, use another folder, or overwrite the run (overwrite=True or --overwrite)"
                 )
 
     def check_cut_files(self, folder: Path) -> None:
@@ -75,8 +75,8 @@ def read(file: Path) -> Checkpoint:
         )
     if words != [_MAGIC, FORMAT, hashlib.sha256(body).hexdigest().encode()]:
         raise ValueError(
-            f"{file} is damaged, or not a checkpoint: use another folder, or overwrite the run "
-            "(overwrite=True or --overwrite)"
+            f"{file} is damaged or is not a checkpoint: use another folder, or overwrite the run (overwrite=True or "
+            "--overwrite)"
         )
     about, _, state = body.partition(b"\n")
     return Checkpoint(**json.loads(about), state=state)

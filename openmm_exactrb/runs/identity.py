@@ -41,8 +41,7 @@ def _text_of_system(system: openmm.System) -> str:
         content = openmm.XmlSerializer.serialize(system)
     except Exception as error:  # serialising a PythonForce may raise any error of pickle
         raise ValueError(
-            f"the System of a run must be one that OpenMM can serialise ({error}): replace the force that cannot be "
-            "serialised"
+            f"OpenMM cannot serialise the System of this run ({error}): replace the force that cannot be serialised"
         ) from error
     return f"{system.getNumParticles()} particles, hash {digest(content.encode())}"
 

@@ -46,7 +46,7 @@ class Outputs:
         if "append" not in parameters and not any(p.kind is p.VAR_KEYWORD for p in parameters.values()):
             raise ValueError(
                 f"{_name_of(factory)} cannot resume a file, because it has no argument append=: use a reporter with "
-                "append=, such as DCDReporter, or append this one to simulation.reporters"
+                "append=, such as DCDReporter, or append this reporter to simulation.reporters"
             )
         self._factories[name] = factory, interval
 

@@ -42,4 +42,4 @@ def check_lost_frames(reporter: Any, file: Path) -> None:
     except Exception:  # any error that a truncated frame causes
         found = None
     if found != written:
-        raise OSError(f"{file} lacks some of its {written} frames: the disk may be full")
+        raise OSError(f"{file} lacks some of its {written} frames: check whether the disk is full")

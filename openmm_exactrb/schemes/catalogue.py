@@ -339,7 +339,9 @@ def _found(name: str | Scheme, schemes: Mapping[str, Scheme]) -> Scheme:
     if isinstance(name, Scheme):
         return name
     if not isinstance(name, str):
-        raise ValueError(f'a scheme is a name in openmm_exactrb.SCHEMES, such as "W4_4", or a Scheme, not {name!r}')
+        raise ValueError(
+            f'a scheme must be a name in openmm_exactrb.SCHEMES, such as "W4_4", or a Scheme, not {name!r}'
+        )
     if name in schemes:
         return schemes[name]
     if generated := re.fullmatch(r"S(ABA|BAB)_([1-9]\d?)", name):

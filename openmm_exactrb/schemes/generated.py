@@ -62,7 +62,7 @@ def sbab(n: int) -> Scheme:
 
 def _check_none(n: int, name: str) -> None:
     if n < 1:
-        raise ValueError(f"the n of {name} must be 1 or more, not {n}")
+        raise ValueError(f"the n of {name} must be at least 1, not {n}")
 
 
 def _quadrature(name: str, n: int, first: Outer, drifts: Array, kicks: Array) -> Scheme:

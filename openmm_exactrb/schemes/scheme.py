@@ -70,7 +70,7 @@ class Scheme:
         for row in (*self.sequence, *self.processor, *self.output):
             if not (isinstance(row, tuple) and len(row) == 2 and isinstance(row[0], Substep)):
                 raise ValueError(
-                    f"scheme {self.name}: a sequence consists of pairs of a Substep and its fraction of the step, "
+                    f"scheme {self.name}: a sequence must consist of pairs of a Substep and its fraction of the step, "
                     f"not {row!r}: "
                     'use schemes.spelled("B A B"), which returns the sequence for a string of symbols'
                 )

@@ -29,8 +29,8 @@ def stability_limit(scheme: Scheme) -> float:
     """
     if not all(math.isclose(math.fsum(parts), 1.0, rel_tol=1e-6) for parts in (scheme.a, scheme.b)):
         raise ValueError(
-            f"scheme {scheme.name} does not advance an oscillator by the step: the fractions of its drifts, and of "
-            "its kicks, must add up to 1"
+            f"scheme {scheme.name} does not advance an oscillator by the step: make the fractions of its drifts, and "
+            "those of its kicks, add up to 1"
         )
     number = 0
     while True:

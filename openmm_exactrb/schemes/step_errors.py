@@ -119,6 +119,6 @@ def _around_exchange(scheme: Scheme) -> tuple[Sequence, Sequence]:
         if palindromic(merged(behind + before)):
             return behind, before
     raise ValueError(
-        f"averages of {scheme.name} cannot be corrected: the theory holds for steps with a single heat exchange, "
-        f"between drifts and kicks that mirror each other, such as those of W2_3m or BAOA"
+        f"averages of {scheme.name} cannot be corrected, because the theory needs a single heat exchange between "
+        "drifts and kicks that mirror each other: use a scheme such as W2_3m or BAOA"
     )

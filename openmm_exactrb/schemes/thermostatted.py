@@ -107,8 +107,8 @@ def proposal(scheme: Scheme, steps: int) -> Scheme:
     """
     if scheme.has(HEAT_EXCHANGE):
         raise ValueError(
-            f"scheme {scheme.name} contains a thermostat, but the scheme of proposals must not: choose one "
-            "without, such as S2_2"
+            f"scheme {scheme.name} contains a thermostat, but the scheme of proposals must not: choose a scheme such "
+            "as S2_2"
         )
     require_symmetric(scheme)
     rows = repeated(scheme.sequence, steps)
@@ -119,6 +119,6 @@ def require_symmetric(scheme: Scheme | None, role: str = "scheme") -> None:
     """Raise ValueError if the scheme of proposals, or of their inner steps, is not symmetric in time."""
     if scheme is not None and not palindromic(scheme.sequence):
         raise ValueError(
-            f"the {role} {scheme.name} is not symmetric in time, but proposals must be: choose a symmetric one, "
-            "such as S2_2"
+            f"the {role} {scheme.name} is not symmetric in time, but proposals must be symmetric: choose a scheme such "
+            "as S2_2"
         )

@@ -94,7 +94,9 @@ def owners(bodies: Sequence[Sequence[int] | Indices], n_particles: int) -> Indic
     order = np.argsort(particles, kind="stable")
     for i in np.flatnonzero(np.diff(particles[order]) == 0):
         first, second = numbers[order[i : i + 2]]
-        raise ValueError(f"particle {particles[order[i]]} is named twice, in bodies {first} and {second}: name it once")
+        raise ValueError(
+            f"particle {particles[order[i]]} is named twice, in bodies {first} and {second}: name each particle once"
+        )
     owner[particles] = numbers
     return owner
 
@@ -118,6 +120,6 @@ def _checked(value: Any, name: str, of: str, asked: str, fits: Any) -> float:
     plain = isinstance(value, (int, float, np.number)) and not isinstance(value, (bool, np.bool_, np.complexfloating))
     huge = isinstance(value, int) and abs(value) > sys.float_info.max  # beyond the range of float64
     if not plain or huge or not math.isfinite(value) or not fits(value):
-        shown = f"one beyond {sys.float_info.max:.2g}" if huge else repr(value)
+        shown = f"a number beyond {sys.float_info.max:.2g}" if huge else repr(value)
         raise ValueError(f"{name} must be {asked.format(f' of {of}' if of else '')}, not {shown}")
     return float(value)

@@ -95,8 +95,8 @@ def ellipsoids(
     cutoff, switch = _truncation(stripped(cutoff, unit.nanometer), stripped(switch, unit.nanometer), kappa, sigma)
     if cutoff > 0.5 * box:
         raise ValueError(
-            f"the cutoff of {cutoff:g} nm is more than half the box of {box:.3g} nm: use more ellipsoids, or a "
-            "shorter cutoff"
+            f"the cutoff of {cutoff:g} nm is more than half the edge of the box, {box:.3g} nm: use more ellipsoids, or "
+            "a shorter cutoff"
         )
     centres = box * _lattice(n, np.random.default_rng(checks.whole(seed, "the seed", 0)), box / sigma, kappa)
 
@@ -134,8 +134,8 @@ def _lattice(n: int, rng: np.random.Generator, box: float, kappa: float) -> Arra
     k, m = layers[int(np.argmax(room))]
     if max(room) < _CLOSEST:
         raise ValueError(
-            f"{n} parallel ellipsoids do not fit on a lattice at this density, where nearest neighbours would "
-            f"be at {max(room):.2f} of the distance at which they touch: use a lower density, or another n"
+            f"{n} parallel ellipsoids do not fit on a lattice at this density, because nearest neighbours would be at "
+            f"{max(room):.2f} of the distance at which they touch: use a lower density, or another n"
         )
     cells = np.array(list(itertools.product(range(k), range(k), range(m))), dtype=np.float64)
     places = ((cells[:, None] + _CELL) / (k, k, m)).reshape(-1, 3)

@@ -58,20 +58,19 @@ def rigid_sites(mass: float | unit.Quantity, inertia: ArrayLike | unit.Quantity)
     moments = checks.array(each, "inertia", "three positive moments in amu nm²")
     if moments.shape != (3,) or not (np.isfinite(moments).all() and (moments > 0.0).all()):
         raise ValueError(
-            f"inertia must be three positive moments in amu nm², not {inertia!r}: linear bodies, which have a moment "
-            "of zero, are not supported"
+            f"inertia must be three positive moments in amu nm² (linear bodies are not supported), not {inertia!r}"
         )
     mass = checks.positive(stripped(mass, unit.dalton), "mass", "amu")
     if moments.min() < _THINNEST * moments.max():
         raise ValueError(
-            f"a body with the moments of inertia {moments.tolist()} is nearly linear: the smallest must be at least "
+            f"a body with the moments of inertia {moments.tolist()} is nearly linear: make the smallest at least "
             f"{_THINNEST:g} of the largest"
         )
     spread = 0.5 * moments.sum() - moments
     flat = np.abs(spread) < 1e-12 * moments.max()
     if (spread[~flat] < 0.0).any():
         raise ValueError(
-            f"no body has the moments of inertia {moments.tolist()}: each must be at most the sum of the other two"
+            f"no body has the moments of inertia {moments.tolist()}: make each at most the sum of the other two"
         )
     if not flat.any():
         return np.asarray(_TETRAHEDRON * np.sqrt(spread / mass))
@@ -210,7 +209,7 @@ def dipole_fluid(
 def _direction_and_strength(dipole: ArrayLike) -> tuple[Array, float]:
     vector = np.asarray([dipole_strength(d) for d in dipole] if np.iterable(dipole) else [], dtype=np.float64)
     if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
-        raise ValueError(f"dipole must be a vector of three finite numbers, not all zero, not {dipole!r}")
+        raise ValueError(f"dipole must be a non-zero vector of three finite numbers, not {dipole!r}")
     strength = float(np.linalg.norm(vector))
     return vector / strength, strength
 

@@ -49,8 +49,8 @@ def heavy_hydrogens(
     """
     if not isinstance(system, openmm.System) or not isinstance(topology, app.Topology):
         raise ValueError(
-            "heavy_hydrogens() takes an openmm.System and its Topology, not "
-            f"{type(system).__name__} and {type(topology).__name__}: call it before a Simulation is created from them"
+            f"heavy_hydrogens() takes an openmm.System and its Topology, not {type(system).__name__} and "
+            f"{type(topology).__name__}: call it before you create a Simulation"
         )
     wanted = checks.positive(stripped(mass, unit.dalton), "mass", "amu")
     if not isinstance(water, bool):
@@ -65,20 +65,20 @@ def heavy_hydrogens(
     donors = set()
     hydrogens = [atom for atom in topology.atoms() if _is_hydrogen(atom)]
     if not hydrogens:
-        raise ValueError("no atom of the Topology has the element hydrogen: give its atoms their elements")
+        raise ValueError("no atom of the Topology has the element hydrogen: set the elements of its atoms")
     for hydrogen in hydrogens:
         if left[hydrogen.index] == 0.0 or (not water and _is_water(hydrogen.residue)):
             continue  # massless atoms do not move
         if hydrogen.index not in bearers:
             raise ValueError(
-                f"{_name(hydrogen)} is not bonded to a heavier atom in the Topology that could supply its mass: "
-                "add the bond with topology.addBond, or make the molecule's hydrogens heavier with setParticleMass"
+                f"{_name(hydrogen)} has no bond in the Topology to a heavier atom that could supply its mass: add the "
+                "bond with topology.addBond, or make the molecule's hydrogens heavier with setParticleMass"
             )
         donor = bearers[hydrogen.index]
         if left[donor.index] == 0.0:
             raise ValueError(
-                f"{_name(hydrogen)} has a mass, but {_name(donor)}, to which it is bonded, has none: set both masses "
-                f"to zero, or neither"
+                f"{_name(hydrogen)} has a mass, but the bonded {_name(donor)} has none: set both masses to zero, or "
+                "neither"
             )
         left[donor.index] -= wanted - left[hydrogen.index]
         left[hydrogen.index] = wanted
@@ -86,8 +86,8 @@ def heavy_hydrogens(
     for donor in sorted(donors, key=lambda atom: int(atom.index)):
         if left[donor.index] < wanted:
             raise ValueError(
-                f"{_name(donor)} would be left with {left[donor.index]:.4g} amu, less than its hydrogens of "
-                f"{wanted:g} amu: use a smaller mass of hydrogens"
+                f"{_name(donor)} would be left with {left[donor.index]:.4g} amu, less than the {wanted:g} amu of its "
+                "hydrogens: use a smaller hydrogen mass"
             )
     for i, value in enumerate(left):
         system.setParticleMass(i, value)

@@ -54,7 +54,7 @@ class CanonicalMomenta:
         integrator = simulation.integrator
         if not isinstance(integrator, ExactRigidBodyIntegrator) or integrator.getThermostat() is not None:
             raise ValueError(
-                "CanonicalMomenta works only with an ExactRigidBodyIntegrator without a thermostat, not with a "
+                "CanonicalMomenta works only with an ExactRigidBodyIntegrator without a thermostat, not with "
                 f"{type(integrator).__name__}: remove the CanonicalMomenta from simulation.reporters"
             )
         steps = self._interval - simulation.currentStep % self._interval

@@ -127,7 +127,7 @@ def _coordinates(values: Any, system: openmm.System, in_unit: unit.Unit, what: s
     if array.shape != (system.getNumParticles(), 3):
         raise ValueError(f"{what} must have the shape ({system.getNumParticles()}, 3), not {array.shape}")
     if not np.isfinite(array).all():
-        raise ValueError(f"{what} are not finite: give finite ones")
+        raise ValueError(f"{what} are not finite: give finite values")
     return array
 
 

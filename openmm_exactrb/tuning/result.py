@@ -114,7 +114,7 @@ class Tuning:
         """
         target = self.target if target is None else positive(target, "target", "kJ/mol per body")
         if target is None:
-            raise ValueError("give best() a target: tune() was called without one")
+            raise ValueError("tune() was called without a target: pass a target to best()")
         found = self.chosen if target == self.target and method is None else self.surveyed(target, method)
         if found is None:
             raise UnreachableError(self._why_unreachable(target, method))
@@ -179,7 +179,7 @@ class Tuning:
         if not self.points:
             return "the budget was spent before a run ended: pass a larger budget"
         if not points:
-            return "no run was stable: the start is far from equilibrium, or the forces do not conserve the energy"
+            return "no run was stable: equilibrate the start, or use forces that conserve the energy"
         least, why = min(points, key=lambda p: p.error), "not reached: the smallest found is"
         failed = [p for p in points if p.duration >= self.horizon and p.error > target]
         if least.error <= target and failed:

@@ -312,7 +312,7 @@ def test_a_run_continues_its_file_and_no_other(tmp_path):
     with reporting(simulation, file, 2, append=True):
         simulation.step(2)
         integrator.setFriction(2.0)
-        with pytest.raises(ValueError, match="replace this AverageReporter by one with another file"):
+        with pytest.raises(ValueError, match="use a new AverageReporter with another file"):
             simulation.step(2)
     with file.open("a") as out:
         out.write("10,0.02")
@@ -366,7 +366,7 @@ def test_what_a_file_lacks_is_said(tmp_path):
         rb.corrected(file, "pressure", pressure=1.0)
     few = tmp_path / "few.csv"
     few.write_text("".join(file.read_text(encoding="utf-8").splitlines(keepends=True)[:20]))
-    with pytest.raises(ValueError, match="18 frames, but error estimates need at least 40: run longer"):
+    with pytest.raises(ValueError, match="18 frames, but error estimates need at least 40: extend the run"):
         rb.corrected(few, "pressure")
     lines = file.read_text(encoding="utf-8").splitlines(keepends=True)
     for wrong in ("nan", "inf", "x"):

@@ -166,5 +166,5 @@ def test_where_a_barostat_acts_errors_are_those_of_steps_that_end_there():
     ids=lambda scheme: scheme.name,
 )
 def test_the_theory_refuses_other_steps(scheme):
-    with pytest.raises(ValueError, match="cannot be corrected: the theory holds for steps with a single heat exchange"):
+    with pytest.raises(ValueError, match="cannot be corrected, because the theory needs a single heat exchange"):
         step_errors(scheme)

@@ -26,12 +26,12 @@ CASES = [
         ["droplet.pdb", "--forcefield", "tip3p.xml", "--step", "4fs", "--force-interval", "2fs"],
         "give --step or --force-interval, not both",
     ),
-    (["droplet.pdb", "--forcefield", "tip3p.xml", "--platform", "Abacus"], "there is no platform 'Abacus' here"),
+    (["droplet.pdb", "--forcefield", "tip3p.xml", "--platform", "Abacus"], "platform 'Abacus' is not available"),
     (["droplet.pdb", "--forcefield", "tip3p.xml", "--ensemble", "npt"], "needs a periodic box"),
     (["droplet.pdb", "--forcefield", "amber14-all.xml", "--solvate", "9"], "the water model is unknown: add --water"),
     (["cut.pdb", "--forcefield", "tip3p.xml"], "has no END line"),
     (["system.xml"], "give one file (PDB .pdb or PDBx .cif), or two (system.xml and state.xml"),
-    (["state.xml", "system.xml"], "holds a State, not a System"),
+    (["state.xml", "system.xml"], "contains type State, not System"),
     (
         ["system.xml", "state.xml", "--forcefield", "tip3p.xml"],
         "omit --forcefield and --solvate: the System already contains the solvent and the forces",
@@ -180,5 +180,5 @@ def test_molecules_that_are_interleaved_need_a_topology():
     system.addConstraint(0, 2, 0.1)
     system.addConstraint(1, 3, 0.1)
     context = context_of(system, openmm.VerletIntegrator(0.001), [openmm.Vec3(i, 0, 0) for i in range(4)])
-    with pytest.raises(ValueError, match="give their PDB or PDBx file instead"):
+    with pytest.raises(ValueError, match="give a PDB or PDBx file instead"):
         topology_of(system, context.getState(positions=True))

@@ -30,7 +30,7 @@ def test_it_reads_what_a_run_reads(droplet, capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["state.xml", "system.xml"], "holds a State, not a System"),
+        (["state.xml", "system.xml"], "contains type State, not System"),
         (["system.xml", "nowhere.xml"], "there is no file nowhere.xml"),
         (["picture.xml", "state.xml"], "was not written by openmm.XmlSerializer"),
         ([], "exactrb tune needs molecules: give one file"),

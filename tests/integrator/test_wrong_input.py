@@ -74,7 +74,7 @@ def test_a_state_of_bodies_has_unit_quaternions():
     for wrong, message in (
         (found[1]._replace(q=1.1 * found[1].q), "quaternions of unit length"),
         (found[1]._replace(q=0.0 * found[1].q), "quaternions of unit length"),
-        (found, r"setBodyState\(\) takes the state in bodyState\(\)\[1\], not tuple"),
+        (found, r"setBodyState\(\) takes a state such as bodyState\(\)\[1\], not tuple"),
         (None, "not NoneType"),
     ):
         with pytest.raises(ValueError, match=message):
@@ -214,7 +214,7 @@ def test_places_that_leave_the_numbers_in_a_last_drift_are_a_blow_up_too():
     context = openmm.Context(system, integrator, REFERENCE)
     context.setPositions(positions)
     context.setVelocities([openmm.Vec3(2e150, 0.0, 0.0)] * system.getNumParticles())  # 1e154 in half a step
-    with pytest.raises(rb.NonFiniteError, match="step 1, after 0 ps: not finite"):
+    with pytest.raises(rb.NonFiniteError, match="step 1, after 0 ps: bodies are not finite"):
         integrator.step(1)
     assert np.isfinite(context.getState(positions=True).getPositions(asNumpy=True)._value).all()
 

@@ -83,7 +83,7 @@ def test_nothing_is_nested_where_it_would_bring_nothing_or_not_be_all():
 
     grouped = Scheme("grouped", 2, ((Kick(0), 0.5), (DRIFT, 1.0), (Kick(0), 0.5)))
     assert not nests(system, x, 0.002, grouped)
-    with pytest.raises(ValueError, match=r"has kicks by single force groups .*\(0\)"):
+    with pytest.raises(ValueError, match=r"has kicks with single force groups .*\(0\)"):
         nests(system, x, 0.002, grouped, fast="bonded")
 
     assert not nests(system, x, 0.004, Scheme("own", 2, ((Rest(), 0.5), (DRIFT, 1.0), (Rest(), 0.5))))
@@ -263,7 +263,7 @@ def test_femtoseconds_without_their_unit_end_at_once(h, scheme):
     """Thousands of inner steps would be made before an outer kick looks at what they did."""
     _, system, x = peptide()
     integrator, context = moving(system, x, h, scheme)
-    with pytest.raises(rb.IntegrationError, match=r"numbers without a unit are ps"):
+    with pytest.raises(rb.IntegrationError, match=r"numbers without a unit are in ps"):
         integrator.step(10)
     assert integrator.timings.fast_evaluations < 3000
     assert np.abs(positions_of(context) - x).max() < 1e-6

@@ -115,7 +115,7 @@ def test_the_advice_is_one_that_helps(interval, mass, constraints, advice):
 def test_a_step_beyond_the_first_resonance_warns_once():
     integrator, _context = nested(0.008)
     with pytest.warns(
-        rb.StepSizeWarning, match=r"with steps of 24 fs .* W2_3m is near a resonance with the angle of .* Use at mo"
+        rb.StepSizeWarning, match=r"with steps of 24 fs, .* W2_3m is near a resonance with the angle of .* Use at mo"
     ):
         integrator.step(1)
     integrator.setStepSize(0.02401)

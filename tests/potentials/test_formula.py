@@ -97,7 +97,9 @@ def test_a_cutoff_whose_tips_have_other_nearest_images_is_refused():
         if fits:
             rb.soft_dipole_force([(0, 1)], **asked)
         else:
-            with pytest.raises(ValueError, match=r"below half the box, 2.5 nm, but .* or kernel='bonds'"):
+            with pytest.raises(
+                ValueError, match=r"below half the shortest edge of the box, 2.5 nm, but .* or kernel='bonds'"
+            ):
                 rb.soft_dipole_force([(0, 1)], **asked)
 
 

@@ -82,9 +82,9 @@ def test_what_is_given_is_taken():
         ({"method": "direct", "order": 8}, "the direct sum has no mesh"),
         ({"order": 7}, "order must be an even number"),
         ({"mesh": 41}, "a mesh of 41 points along an edge has a slow Fourier transform: use 45"),
-        ({"mesh": (40, 40)}, "one number of points, or three"),
+        ({"mesh": (40, 40)}, "one number of points or three"),
         ({"mesh": 8}, "at least order"),
-        ({"cutoff": 6.0}, "cutoff must be at most half the box"),
+        ({"cutoff": 6.0}, "cutoff must be at most half the shortest edge"),
         ({"mesh": 20, "cutoff": 2.0, "tolerance": 1e-6}, "above the tolerance"),
         ({"method": "mesh", "tolerance": 1e-13}, "no mesh"),
     ],
@@ -97,7 +97,7 @@ def test_what_cannot_be_met_gets_one_sentence(settings, message):
 def test_a_box_that_shrinks_below_its_mesh_is_refused():
     context, _ = fluid(64, boundary=rb.Ewald(order=16, tolerance=1e-2), density=0.05)
     context.setPeriodicBoxVectors(*np.diag([7.2, 10.0, 10.0]))
-    with pytest.raises(Exception, match=r"the box, 7.2 nm, has become too small .* do not fit into 15 points"):
+    with pytest.raises(Exception, match=r"the box, 7.2 nm, is too short .* do not fit into 15 points"):
         context.getState(energy=True)
 
 
@@ -106,7 +106,7 @@ def test_positions_that_are_no_numbers_end_a_run_with_one_sentence():
     x = positions_of(context)
     x[7, 1] = np.nan
     context.setPositions(x)
-    with pytest.raises(ValueError, match=r"body 1 .* are not finite: set finite ones"):
+    with pytest.raises(ValueError, match=r"body 1 .* are not finite: set finite values"):
         integrator.step(1)
 
 

@@ -72,13 +72,13 @@ def test_fluctuations_that_no_dielectric_has_give_infinity():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"moments": np.zeros((40, 2))}, r"shape \(n, 3\), a row of three numbers for each of n frames, not"),
+        ({"moments": np.zeros((40, 2))}, r"shape \(n, 3\), with one row for each of n frames, not"),
         ({"moments": np.full((40, 3), np.nan)}, "finite numbers below .* row 0 is .nan"),
         ({"volume": 0.0}, "volume must be a positive number of nm³"),
         ({"kT": -1.0}, "kT must be a positive number of kJ/mol"),
         ({"dielectric": 0.5}, "dielectric must be at least 1"),
-        ({"blocks": 1}, "blocks must be at least 2"),
-        ({"blocks": 41}, "blocks must be at least 2"),
+        ({"blocks": 1}, "blocks must be between 2"),
+        ({"blocks": 41}, "blocks must be between 2"),
         ({"blocks": 2.9}, "blocks must be a whole number"),
         ({"moments": np.ones((40, 3)) * E_NM}, "without a unit"),
         ({"moments": [row * E_NM for row in np.ones((40, 3))]}, "without a unit"),

@@ -29,14 +29,14 @@ def test_other_settings_in_the_second_call_are_another_run(tmp_path):
     run, simulation = make(tmp_path), droplet()
     run.advance(simulation, 10)
     simulation.integrator.setStepSize(0.001)
-    with pytest.raises(ValueError, match=r"another run: there integrator stepSize was 0\.005"):
+    with pytest.raises(ValueError, match=r"another run, in which integrator stepSize was 0\.005"):
         run.advance(simulation, 20)
 
 
 def test_one_run_is_of_one_system(tmp_path):
     run = make(tmp_path)
     run.advance(droplet(), 10)
-    with pytest.raises(ValueError, match="another run: there System was 20 particles"):
+    with pytest.raises(ValueError, match="another run, in which System was 20 particles"):
         run.advance(droplet(n=5), 20)
 
 
@@ -138,7 +138,7 @@ def numbers(last):
 def test_settings_are_compared_to_the_last_digit(tmp_path, settings, others):
     make(tmp_path, settings=settings).advance(droplet(), 10)
     make(tmp_path, settings=settings, resume=True).advance(droplet(), 12)
-    with pytest.raises(ValueError, match="another run: there setting"):
+    with pytest.raises(ValueError, match="another run, in which setting"):
         make(tmp_path, settings=others, resume=True).advance(droplet(), 20)
 
 
@@ -154,7 +154,7 @@ def test_a_file_with_the_name_of_a_setting_hides_nothing(tmp_path):
         if n == 4:
             run.advance(droplet(n=n), 10)
         else:
-            with pytest.raises(ValueError, match="another run: there System was 20 particles"):
+            with pytest.raises(ValueError, match="another run, in which System was 20 particles"):
                 run.advance(droplet(n=n), 20)
 
 
@@ -162,6 +162,6 @@ def test_a_system_that_cannot_be_serialised_is_refused(tmp_path):
     topology, system, positions = rb.dipole_fluid(4, seed=1, trap=0.5)
     system.addForce(openmm.PythonForce(lambda state: (0.0, np.zeros((20, 3)))))
     simulation = simulation_of(topology, system, rb.ExactRigidBodyIntegrator(0.005), positions)
-    with pytest.raises(ValueError, match="that OpenMM can serialise"):
+    with pytest.raises(ValueError, match="OpenMM cannot serialise the System of this run"):
         make(tmp_path).advance(simulation, 10)
     assert not list(tmp_path.iterdir())

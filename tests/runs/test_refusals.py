@@ -41,8 +41,8 @@ def test_a_damaged_checkpoint_is_refused(half):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"n": 5}, "another run: there System was 20 particles"),
-        ({"trap": 0.6}, "another run: there System was 20 particles"),
+        ({"n": 5}, "another run, in which System was 20 particles"),
+        ({"trap": 0.6}, "another run, in which System was 20 particles"),
         ({"scheme": "S2_2"}, "integrator scheme was V2, .*, but now it is S2_2"),
         ({"rotor": "mclachlan_reich"}, "integrator rotor was .*exact.*, but now it is .*mclachlan_reich"),
         ({"groups": {0, 2}}, "integrator IntegrationForceGroups was -1, but now it is 5"),
@@ -129,7 +129,7 @@ def own_scheme(weight):
 def test_a_run_of_other_settings_that_a_name_does_not_tell_is_refused(tmp_path, make_integrator, values):
     half_of(tmp_path, with_integrator(make_integrator(values[0])))
     half_of(tmp_path, with_integrator(make_integrator(values[0])))  # the same goes on
-    with pytest.raises(ValueError, match="another run: there integrator"):
+    with pytest.raises(ValueError, match="another run, in which integrator"):
         half_of(tmp_path, with_integrator(make_integrator(values[1])))
 
 
@@ -141,5 +141,5 @@ def test_a_run_of_other_canonical_momenta_is_refused(tmp_path):
 
     half_of(tmp_path, of(30.0))
     half_of(tmp_path, of(30.0))
-    with pytest.raises(ValueError, match=r"another run: there CanonicalMomenta was 30\.0 K every 5 steps"):
+    with pytest.raises(ValueError, match=r"another run, in which CanonicalMomenta was 30\.0 K every 5 steps"):
         half_of(tmp_path, of(60.0))

@@ -35,7 +35,7 @@ def test_bodies_are_lists_of_particles(bodies):
 )
 def test_the_arguments_of_a_thermostat_are_distinguished(arguments):
     one_sentence(
-        "use ExactRigidBodyLangevinIntegrator with these",
+        "use ExactRigidBodyLangevinIntegrator for these",
         lambda: rb.ExactRigidBodyIntegrator(*arguments),
     )
 

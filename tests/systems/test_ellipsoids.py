@@ -184,7 +184,7 @@ def test_seeds_and_units():
         ({"epsilon": -1.0}, "epsilon must be a positive number of kJ/mol"),
         ({"density": 0.0}, "density must be a positive number"),
         ({"density": 0.7, "cutoff": 3.0}, "do not fit on a lattice"),
-        ({"n": 100}, "more than half the box of .* use more ellipsoids"),
+        ({"n": 100}, "more than half the edge of the box, .* use more ellipsoids"),
         ({"cutoff": -1.0}, "cutoff must be a positive number of nm"),
         ({"switch": 4.5}, "must be below the cutoff"),
         ({"seed": 1.5}, "the seed must be a whole number of at least 0"),
@@ -292,7 +292,7 @@ def test_a_box_that_is_not_rectangular_or_too_small_is_refused():
     x = pair(Z, Z, X)
     with pytest.raises(ValueError, match="rectangular"):
         potential.energy_and_forces(x, np.array([[9.0, 0, 0], [1.0, 9.0, 0], [0, 0, 9.0]]))
-    with pytest.raises(ValueError, match="at most half the box"):
+    with pytest.raises(ValueError, match="at most half the shortest edge of the box"):
         potential.energy_and_forces(x, 7.0 * np.eye(3))
 
 

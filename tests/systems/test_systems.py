@@ -40,7 +40,7 @@ def test_sites_have_exactly_the_wanted_inertia(rng, planar):
         ({"mass": -1.0}, "mass must be a positive number of amu"),
         ({"perturbation": -0.1}, "perturbation must be a number of at least 0"),
         ({"trap": float("inf")}, "trap must be a number of at least 0"),
-        ({"dipole": (0.0, 0.0, 0.0)}, "not all zero"),
+        ({"dipole": (0.0, 0.0, 0.0)}, "non-zero vector"),
         ({"dipole": (1.0, 0.0)}, "three finite numbers"),
         ({"dipole": 1.0}, "three finite numbers"),
         ({"dipole": (1.0, 0.0, 0.0) * unit.nanometer}, "is not a dipole moment"),
@@ -50,7 +50,7 @@ def test_sites_have_exactly_the_wanted_inertia(rng, planar):
         ({"density": 0.8}, "density needs a periodic box: add boundary="),
         ({"boundary": rb.ReactionField(), "density": -1.0}, "density must be a positive number"),
         ({"boundary": rb.ReactionField(), "trap": 0.5}, "omit trap= for a periodic liquid"),
-        ({"boundary": rb.ReactionField(cutoff=10.0)}, "at most half the box"),
+        ({"boundary": rb.ReactionField(cutoff=10.0)}, "at most half the shortest edge of the box"),
         ({"boundary": "periodic"}, "boundary must be one of"),
     ],
 )

@@ -168,7 +168,7 @@ def test_a_run_is_resumed_with_the_same_bits_and_only_with_the_same_thermostat(t
     advance("whole", 40)
     advance("parts", 22)
     for name, value in ({"temperature": 31.0, "seed": 4} | others).items():
-        with pytest.raises(ValueError, match="belongs to another run: there integrator"):
+        with pytest.raises(ValueError, match="belongs to another run, in which integrator"):
             advance("parts", 40, **{name: value})
     advance("parts", 40)
     files = [(tmp_path / folder / "energies.csv").read_text(encoding="utf-8") for folder in ("whole", "parts")]

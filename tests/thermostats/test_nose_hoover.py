@@ -286,5 +286,5 @@ def test_a_barostat_of_the_same_temperature_acts_beside_it_and_another_one_is_re
         mean, error = mean_and_error(T)
         assert abs(mean - 300.0) < max(4.0 * error, 3.0)
     integrator.setTemperature(310.0)
-    with pytest.raises(ValueError, match="Barostat is at 300 K, the integrator at 310 K"):
+    with pytest.raises(ValueError, match="Barostat is at 300 K, but the integrator is at 310 K"):
         integrator.step(1)

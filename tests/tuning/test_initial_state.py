@@ -35,7 +35,7 @@ def test_a_simulation_is_enough():
     after = arrays(simulation.context.getState(positions=True, velocities=True))
     np.testing.assert_array_equal(after, before)
     assert result.best(0.1).method == "S2_2"
-    with pytest.raises(ValueError, match="tune\\(\\) was called without one"):
+    with pytest.raises(ValueError, match="tune\\(\\) was called without a target"):
         result.best()
 
 
@@ -73,7 +73,7 @@ def test_positions_with_a_temperature_and_bodies_by_hand_are_enough():
         ({"schemes": ["RK4"]}, "unknown scheme 'RK4'"),
         ({"schemes": ["V2", replace(rb.SCHEMES["S2_2"], name="V2")]}, "has the name of another method, 'V2'"),
         ({"schemes": replace(rb.SCHEMES["S2_2"], name="VerletIntegrator")}, "of another method"),
-        ({"platform": "Abacus"}, "there is no platform 'Abacus'"),
+        ({"platform": "Abacus"}, "platform 'Abacus' is not available"),
         ({"system": "system.xml"}, "must be an openmm.System or a Simulation"),
     ],
 )

@@ -61,14 +61,14 @@ class Library:
             self._functions = ctypes.CDLL(str(path))  # OpenMM's library, to which this one is linked, is already loaded
         except OSError as error:
             raise MissingLibraryError(
-                f"{path} cannot be loaded ({error}): delete this file, so that it is compiled again"
+                f"{path} cannot be loaded ({error}): delete this file so that it is compiled again"
             ) from error
         self._functions.pi_error.restype = ctypes.c_char_p
         self._functions.pi_register.restype = ctypes.c_char_p
         if built_for := self._functions.pi_register():
             raise MissingLibraryError(
-                f"{path} was built for OpenMM {built_for.decode()}, not {openmm.__version__}: delete this "
-                "file, so that it is compiled again"
+                f"{path} was built for OpenMM {built_for.decode()}, not {openmm.__version__}: delete this file so that "
+                "it is compiled again"
             )
 
     def make(self) -> Any:
@@ -222,8 +222,8 @@ def compiler() -> str:
     found = next((path for path in map(shutil.which, filter(None, names)) if path), None)
     if found is None:
         raise MissingLibraryError(
-            "the device engine has to be compiled for this OpenMM, but no C++ compiler was found: install one (g++, "
-            f"clang++), or name it in the environment variable {COMPILER}"
+            "the device engine has to be compiled for this OpenMM, but no C++ compiler was found: install g++ or "
+            f"clang++, or name a compiler in the environment variable {COMPILER}"
         )
     return found
 
@@ -291,6 +291,6 @@ def _check_owner(path: Path) -> None:
     status = path.stat()
     if status.st_uid != os.getuid() or stat.S_IMODE(status.st_mode) & 0o077:  # noqa: TID251
         raise MissingLibraryError(
-            f"{path} is not loaded, because other users have access to this path: delete it, or set the environment "
-            f"variable {CACHE} to another folder"
+            f"{path} is not loaded, because other users have access to this path: delete the file, or set the "
+            f"environment variable {CACHE} to another folder"
         )

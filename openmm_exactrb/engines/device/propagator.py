@@ -274,7 +274,7 @@ class DevicePropagator:
         names = list(dict.fromkeys(map(bodies.name, which[: 20 * _NAMED])))  # the atoms of a cluster have one name
         named = ", ".join(names[:_NAMED]) + (", ..." if len(names) > _NAMED else "")
         raise NonFiniteError(
-            f"within {n} steps, positions or momenta became non-finite, or speeds exceeded that of light (bodies "
+            f"within {n} steps, positions or momenta became non-finite, or speeds exceeded the speed of light (bodies "
             f"affected: {len(which)}): {named}. {ADVICE.format('call')}"
         )
 

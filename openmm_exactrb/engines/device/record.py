@@ -29,7 +29,7 @@ def _unsupported(settings: Settings) -> str | None:
         return f"the device does not support {type(thermostat).__name__}"
     if rotor not in map(ROTORS.get, _ROTORS):
         own = "" if ROTORS.get(rotor.name) is rotor else "your own rotor "
-        return f"the device supports the exact rotor only, not {own}{rotor.name}"
+        return f"the device supports only the exact rotor, not {own}{rotor.name}"
     try:
         for substep, part in (*scheme.sequence, *scheme.processor, *scheme.output):
             of_substep(substep, part)
@@ -61,7 +61,7 @@ def _unsupported_in(context: Any, settings: Settings) -> str | None:
 def _unsupported_beside_molecules(settings: Settings) -> str | None:
     """Return the reason why the kernels of flexible molecules do not support the scheme, or None."""
     if settings.scheme.has_gradients:
-        return f"the device has no force-gradient kicks of flexible molecules, which {settings.outer.name} needs"
+        return f"the device has no force-gradient kicks for flexible molecules, which {settings.outer.name} needs"
     for substep, part in settings.scheme.sequence:
         if any(move.op == Op.OWN for move in of_substep(substep, part)):
             return f"the device has no kernel of {substep!r} for flexible molecules"

@@ -55,7 +55,7 @@ class HostEnvironment:
         """Return the flow of heat exchange `number` of a step."""
         if self.settings.thermostat is None:
             raise ValueError(
-                f"scheme {self.settings.scheme.name} contains a thermostat, but the integrator has none: pass one as "
+                f"scheme {self.settings.scheme.name} contains a thermostat, but the integrator has none: set "
                 "thermostat="
             )
         return self.settings.thermostat.flow(self, number)

@@ -84,8 +84,9 @@ def _images(arrows: Array, n: int, edges: mesh.Edges, ewald: Ewald, threads: int
     x, y, z = (mesh.fast_size(edge / step) for edge, step in zip(edges, steps, strict=True))
     if min(x, y, z) < mesh.spline(order).shape[2]:
         raise ValueError(
-            f"the box, {min(edges):g} nm, has become too small for the mesh of the Ewald sum, because splines of order "
-            f"{order} do not fit into {min(x, y, z)} points: create the force again for a box of this size"
+            f"the shortest edge of the box, {min(edges):g} nm, is too short for the mesh of the Ewald sum, because "
+            f"splines of order {order} do not fit into {min(x, y, z)} points: create the force again for a box of this "
+            "size"
         )
     r, u = arrows[:3, :n].copy(), arrows[3:, :n].copy()
     return mesh.reciprocal_space(r, u, edges, alpha, (x, y, z), order, dielectric, threads)

@@ -223,7 +223,7 @@ def refusal(system, x, **options):
 
 def test_what_is_not_served_is_named():
     _, system, x = peptide()
-    assert "no force-gradient kicks of flexible molecules, which Chin4A needs" in refusal(system, x, scheme="Chin4A")
+    assert "no force-gradient kicks for flexible molecules, which Chin4A needs" in refusal(system, x, scheme="Chin4A")
     system.addForce(tether(0, 9))
     assert "no kernel for the fast force tether: put" in refusal(system, x, fast="bonded")
     _, hub, _ = peptide()

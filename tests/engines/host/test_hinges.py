@@ -64,7 +64,7 @@ def test_a_minimiser_that_loses_the_constraints_of_cholesterol_is_an_error_and_l
     )
     context.computeVirtualSites()
     before = context.getState(positions=True).getPositions(asNumpy=True)._value
-    with pytest.raises(ArithmeticError, match="remove overlaps with short steps at high friction"):
+    with pytest.raises(ArithmeticError, match="remove overlaps by short steps at high friction"):
         integrator.minimizeEnergy(maxIterations=20)
     np.testing.assert_array_equal(context.getState(positions=True).getPositions(asNumpy=True)._value, before)
 

@@ -132,7 +132,7 @@ def served(system: openmm.System, bodies: RigidBodies, fast: FastForces | None, 
         if not fast.groups:
             raise NotServedError(
                 f"the device has no kernel for {what}: put the fast forces into a separate force group, as "
-                "separate_bonded(system) does, and name this group, such as fast=(1,)"
+                "separate_bonded(system) does, and name this group in fast=, such as (1,)"
             )
         return Served(without_terms, Evaluated(fast.groups, inner, what))
     if excerpt is None:
@@ -158,7 +158,7 @@ def _require_small_clusters(bodies: RigidBodies) -> None:
         if kind.particles.shape[1] > LARGEST:
             raise NotServedError(
                 f"constraints join {kind.particles.shape[1]} atoms in {kind.name(0)}, but the device has kernels for "
-                f"{LARGEST} at most: create the System with constraints=HBonds"
+                f"at most {LARGEST}: create the System with constraints=HBonds"
             )
 
 
