@@ -260,5 +260,5 @@ def test_force_groups_may_not_change_in_a_run(tmp_path):
     with reporting(simulation, tmp_path / "rotors.csv", 1):
         simulation.step(1)
         integrator.setIntegrationForceGroups({1})
-        with pytest.raises(ValueError, match=r"force groups, a parameter of the Context or .* has changed"):
+        with pytest.raises(ValueError, match=r"the force groups, a parameter of the Context, or .* has changed"):
             simulation.step(1)

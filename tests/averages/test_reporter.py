@@ -121,8 +121,8 @@ def test_names_of_observables_are_not_those_of_slopes(tmp_path):
     ("options", "sentence"),
     [
         ({"observables": [first]}, "observables must be a mapping from names to functions of the positions, not"),
-        ({"observables": {"a": 1.0}}, "but they contain 'a': 1.0"),
-        ({"observables": {1: first}}, "but they contain 1: "),
+        ({"observables": {"a": 1.0}}, "but contains 'a': 1.0"),
+        ({"observables": {1: first}}, "but contains 1: "),
         ({"append": "no"}, "append must be True or False"),
         ({"around": 5}, "around must consist of particles and a distance, not 5"),
         ({"around": ([0], 1, 2)}, "around must consist of particles and a distance"),
