@@ -1,1 +1,1 @@
-"""Measurements of the project, a folder for each question: README.md lists them."""
+"""Benchmarks of the project, in one folder for each topic; README.md lists them."""

@@ -1,4 +1,4 @@
-"""Tables of the documentation, in Markdown, from the measurements that docs/*.csv keep."""
+"""Markdown tables of the documentation, generated from the measurements in docs/*.csv."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Write the tables of the pages, from the records in docs/*.csv and from the catalogue of schemes.
 
-A table stands below a comment with its name, such as `<!-- table: one_line -->`; the name is that of a function in
-`tables.py` or in one of the folders' `tables.py`, one of the study of equipartition, or a record shown as it is.
+A table follows a comment with its name, such as `<!-- table: one_line -->`. The name is that of a function in one of
+the files `tables.py`, of a table of the study of equipartition, or of a record that is copied unchanged.
 
     python benchmarks/write_tables.py
 """

@@ -3,7 +3,7 @@ Constant temperature
 ====================
 
 This example heats 27 rigid water molecules from rest to 300 K, prints the temperatures of translation and rotation, and
-then samples exactly by hybrid Monte Carlo.
+then samples the canonical distribution by hybrid Monte Carlo, without a step-size error.
 """
 
 from pathlib import Path

@@ -2,10 +2,10 @@
 A droplet of dipoles
 ====================
 
-The method was first published for this system of soft spheres with point dipoles, which repel each other as
-:math:`1/r^{12}`. OpenMM computes the forces, and the free rotation is exact. The script writes a trajectory (DCD, with
-its topology as PDB), the energies (CSV, every digit of float64) and a picture of the energy error, and prints the cost
-of the run.
+The splitting with exact free rotation was first published for this system: soft spheres with point dipoles, which repel
+each other as :math:`1/r^{12}`. OpenMM computes the forces, and the free rotation is exact. The script writes a
+trajectory (DCD, with its topology as PDB), the energies (CSV, every digit of float64) and a picture of the energy
+error, and prints the cost of the run.
 
 With ``--compare`` the script makes two runs from the same start with the same number of force evaluations: one with the
 exact rotation and a scheme of order 4, the other with the usual combination of velocity Verlet and the McLachlan-Reich

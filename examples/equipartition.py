@@ -5,7 +5,8 @@ Equipartition
 Do translation and rotation of rigid water have the same temperature at long steps? ``LangevinMiddleIntegrator`` reports
 velocities with components along the constraints. Reporters count these components as rotation, which therefore appears
 too hot. To measure this excess, the example removes the components from the velocities of each frame and compares the
-temperatures. Because both temperatures fluctuate together, a run of 64 molecules over 6 ps is sufficient.
+temperatures. Because the temperatures with and without these components fluctuate together, a run of 64 molecules over
+6 ps is sufficient.
 
 Runs of 1 ns show the remaining error, which is the error of the splitting. With a force evaluation every 6 fs, rotation
 and translation of SPC/E differ by 3.1 ± 0.3 K after this projection, and by 0.0 ± 0.3 K with the scheme ``W2_3m`` of

@@ -2,7 +2,7 @@
 Where the potential is small
 ============================
 
-If the torques are weak, a body rotates almost freely, and the exact flow does almost all of the work. Schemes for this
+If the torques are weak, a body rotates almost freely, and the exact flow describes most of the motion. Schemes for this
 case have a very small error to first order in the potential, and require an exact free flow.
 
 This example measures the median over 20 heavy tops of the largest relative energy error over 50 units of time, for a

@@ -2,7 +2,7 @@
 A peptide in rigid water
 ========================
 
-This script leads from a PDB file to a trajectory, for alanine dipeptide with constrained bonds to hydrogen in a box of
+This script computes a trajectory from a PDB file, for alanine dipeptide with constrained bonds to hydrogen in a box of
 rigid water. A step of 4 fs evaluates the nonbonded forces once; the forces of bonds, angles and torsions are evaluated
 in inner steps. The script writes a trajectory and its energies, and draws the total energy. After an interruption, the
 same command with ``--resume`` continues the run.

@@ -11,7 +11,7 @@ _ASKED = (
     "rows of three numbers in sqrt(kJ/mol nm³), without a unit: moments in e nm times "
     "dipole_strength(1 * elementary_charge * nanometer)"
 )
-_LARGEST = 1e100  # so that squares, and sums of many of them, stay finite
+_LARGEST = 1e100  # largest moment, so that squares and their sums stay finite
 
 
 def reaction(dielectric: float) -> float:
@@ -68,8 +68,8 @@ def dielectric_constant(
 
     Notes
     -----
-    Without a field, <M> is zero. This mean is not estimated from the run, because deviations from the mean of a short
-    run underestimate the fluctuations.
+    Without an external field, <M> is zero. This mean is not estimated from the run, because deviations from the mean of
+    a short run underestimate the fluctuations.
     """
     M = checks.array(moments, "moments", _ASKED)
     if M.ndim != 2 or M.shape[1] != 3:

@@ -25,7 +25,7 @@ class Clock(Protocol):
 
 
 class Numbers(Protocol):
-    """Named numbers that checkpoints contain; changes to `present` become permanent when the step is accepted."""
+    """Named numbers that checkpoints contain. Changes to `present` become permanent when the step is accepted."""
 
     present: dict[str, float]
 
@@ -39,7 +39,7 @@ class Forces(Protocol):
         """Return the force (3, N) and body-frame torque (3, K) of a state at the present positions."""
 
     def at(self, state: State) -> Force:
-        """Return the force and the torque at the positions of a state, which need not be the present ones."""
+        """Return the force and the torque at the positions of any state."""
 
     def energy(self, state: State) -> float:
         """Return the potential energy (kJ/mol) of all forces for a state at the present positions."""
@@ -57,7 +57,7 @@ class Environment(Protocol):
         Key of the random numbers in a call of `step`; `openmm_exactrb.mechanics.rng.Instant` generates noise from this
         key and the clock.
     last_exchange : (State, State) or None
-        The states before and after the last heat exchange, which a thermostat sets.
+        The states before and after the last heat exchange, set by the thermostat.
     """
 
     key: int
@@ -69,7 +69,7 @@ class Environment(Protocol):
 
     @property
     def inertia(self) -> Array:
-        """The principal moments (3, K), which are infinite about the axis of a linear body."""
+        """The principal moments of inertia (3, K), which are infinite about the axis of a linear body."""
 
     @property
     def kinetic(self) -> Kinetic:

@@ -45,8 +45,8 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     stepSize : float or Quantity, optional
         Step size of the scheme, in ps if given without a unit. Pass either ``stepSize`` or ``forceInterval``.
     scheme : str or Scheme, optional
-        A key of `openmm_exactrb.SCHEMES`, or a scheme of your own. The default evaluates forces once per step, as
-        VerletIntegrator does: "W2_1", a processed Verlet scheme, or "BAOA" with a thermostat. Nosé-Hoover chains use
+        A key of `openmm_exactrb.SCHEMES`, or a scheme of your own. The default, which evaluates forces once per step as
+        VerletIntegrator does, is "W2_1", a processed Verlet scheme, or "BAOA" with a thermostat. Nosé-Hoover chains use
         "BAOAB" by default, and hybrid Monte Carlo uses "S2_2".
     rotor : str or Rotor, optional
         A key of `openmm_exactrb.ROTORS`, or an `openmm_exactrb.rotors.Rotor` of your own.
@@ -56,8 +56,8 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     fast : {"auto", "bonded"} or sequence of int, optional
         Forces that are integrated with inner steps within the drifts. "bonded" selects bonds, angles, torsions and
         pairs three bonds apart; a sequence selects force groups by number. The other forces, which determine the cost,
-        are evaluated as often as without inner steps. "auto" selects bonded forces if force evaluations are more than a
-        sixteenth of the shortest period of bonds and angles apart. None means no inner steps.
+        are evaluated as often as without inner steps. "auto" selects bonded forces if the time between force
+        evaluations exceeds a sixteenth of the shortest period of bonds and angles. None means no inner steps.
     inner : str or Scheme, optional
         Scheme of the inner steps; by default S2_2, or SRKN4_6b if the scheme has an order above 2 or force gradients.
     innerSteps : int, optional
@@ -65,15 +65,15 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         forces per shortest period of bonds and angles, at least 12.5 in schemes that contain a heat exchange, and at
         least 80 with SRKN4_6b.
     engine : {"auto", "host", "device"}, optional
-        Where steps are performed: "host" means on the CPU; "device" means on the device of the Platform, by kernels for
-        CUDA, HIP and OpenCL (see "On a GPU" in the documentation); "auto" means on the device if it is a GPU and the
-        engine supports the System (see `engineNote`).
+        Where steps are performed. "host" means the CPU. "device" means the device of the Platform, with kernels for
+        CUDA, HIP and OpenCL (see "On a GPU" in the documentation). "auto" means the device if it is a GPU and the
+        device engine supports the System (see `engineNote`).
     thermostat : Thermostat, optional
-        A thermostat of `openmm_exactrb.thermostats` or your own; the scheme may then also be a key of
+        A thermostat of `openmm_exactrb.thermostats` or your own. With a thermostat, the scheme may also be a key of
         `openmm_exactrb.schemes.WITH_THERMOSTAT`. None means constant energy.
     forceInterval : float or Quantity, optional
-        Mean time between two force evaluations, in ps if it has no unit, instead of ``stepSize``. The step size is this
-        interval times `forceEvaluationsPerStep`, so that schemes with equal intervals cost about the same.
+        Mean time between two force evaluations, in ps if given without a unit, instead of ``stepSize``. The step size
+        is this interval times `forceEvaluationsPerStep`, so that schemes with equal intervals cost about the same.
     checkDivergence : bool, optional
         Whether to raise an error if the total energy jumps. Pass False if your own forces or substeps do work, as in
         active matter. The total energy is also not checked if the System has a PythonForce or a force of a plugin,
@@ -106,9 +106,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     ) -> None:
         check_first_arguments(stepSize, scheme)
         if thermostat is not None and not isinstance(thermostat, Thermostat):
-            raise ValueError(
-                f"thermostat= takes a thermostat of openmm_exactrb.thermostats, not {type(thermostat).__name__}"
-            )
+            raise ValueError(f"thermostat must be one of openmm_exactrb.thermostats, not {type(thermostat).__name__}")
         self._fast = MultipleTimeSteps.of(fast, inner, innerSteps)
         self._thermostat = thermostat
         if scheme is None:
@@ -302,20 +300,20 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     def _step_of(self, size: float | unit.Quantity | None, interval: float | unit.Quantity | None) -> float:
         """Return the step size in ps, from the step size or from the interval between force evaluations."""
         if (size is None) == (interval is None):
-            raise ValueError(
-                "give either stepSize= (the time of a step) or forceInterval= (the time between two force evaluations)"
-            )
+            raise ValueError("stepSize or forceInterval (the time between force evaluations) must be set, not both")
         if interval is None:
             return picoseconds(size)
         if not self.forceEvaluationsPerStep:
-            raise ValueError(f"scheme {self._scheme.name} evaluates no forces: give stepSize=, not forceInterval=")
+            raise ValueError(
+                f"scheme {self._scheme.name} evaluates no forces: pass stepSize= instead of forceInterval="
+            )
         return picoseconds(interval) * self.forceEvaluationsPerStep
 
     def _changed(self) -> None:  # substeps are bound again before the next step
         self._version += 1
 
     def getSettings(self) -> dict[str, dict[str, Any]]:
-        """Return all settings of this integrator: its arguments, and values set by OpenMM's setters."""
+        """Return all settings of this integrator, which are its arguments and the values set by OpenMM's setters."""
         rotor = self._rotor.name if ROTORS.get(self._rotor.name) is self._rotor else self._rotor
         arguments = {"stepSize": self._h, "scheme": self._scheme, "rotor": rotor, "bodies": self._bodies}
         settings = {name: getattr(self, f"get{name}")() for name in _SETTINGS}
@@ -342,7 +340,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         return type(self), copies.own_attributes(self, settings["arguments"]), *settings.values()
 
     def _arguments(self) -> dict[str, Any]:
-        """Return the arguments that a copy needs in addition to the common ones."""
+        """Return the arguments that a copy needs in addition to the common arguments."""
         others = {"engine": self._selection.asked, "thermostat": self._thermostat, "checkDivergence": self._check}
         return others | MultipleTimeSteps.arguments(self._fast)
 

@@ -23,11 +23,11 @@ class Op(IntEnum):
     KICK = 1  # change of momenta by the present forces
     EXCHANGE = 2  # heat exchange with the numbers of the thermostat
     LAST_KICK = 3  # change of momenta by a weighted sum of stored forces
-    REMEMBER = 4  # storage of the present forces as the most recent ones
+    REMEMBER = 4  # storage of the present forces as the most recent forces
     DISPLACE = 5  # displacement of particles, not of bodies, by the present forces; the number is e of GradientKick
     DISPLACED_KICK = 6  # change of momenta by the forces on displaced particles; the numbers are tau and e
     FAST_KICK = 7  # change of momenta of bodies with inner steps by the present fast forces
-    OWN = 16  # the first user-defined move
+    OWN = 16  # number of the first user-defined move
 
 
 @dataclass(frozen=True)
@@ -38,15 +38,15 @@ class Move:
     ----------
     op : Op or int
     part : float
-        The fraction of the step; for a displacement, the factor that multiplies the squared step in e.
+        The fraction of the step. For a displacement, the factor of the squared step in e of `GradientKick`.
     number : int
         For a heat exchange, its index in the step. For a move that stores forces, its index among such moves in the
-        step. For a kick by stored forces, the number of weights that multiply forces; the remaining weights multiply
+        step. For a kick by stored forces, the number of weights of forces; the remaining weights are for force
         differences.
     groups : int
         Bit mask of the force groups that the move needs: -1 for all, 0 for none.
     weights : tuple of float
-        Weights of stored forces; for a kick by displaced forces, the factor that multiplies the squared step in e.
+        Weights of stored forces. For a kick by displaced forces, the factor of the squared step in e of `GradientKick`.
     bodies : str
         "all", "inner" or "others", as for `openmm_exactrb.substeps.Drift`.
     text : str
@@ -91,5 +91,8 @@ def of_substep(substep: Any, part: float) -> tuple[Move, ...]:
     if moves is None:
         raise ValueError(f"the substep {substep!r} has no code for a device: define its method device_moves()")
     if any(move.op == Op.OWN and not MOVE.search(move.text) for move in moves):
-        raise ValueError(f"the code of {substep!r} must define `DEVICE inline void NAME(Body* body, double tau)`")
+        raise ValueError(
+            f"the device code of {substep!r} must define `DEVICE inline void NAME(Body* body, double tau)`: correct "
+            "the text in its method device_moves()"
+        )
     return moves

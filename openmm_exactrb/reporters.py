@@ -40,7 +40,7 @@ class _Lines:
         if isinstance(file, (str, os.PathLike)):
             path = Path(file)
             if append and path.is_file() and path.read_bytes()[-1:] not in (b"", b"\n"):
-                raise ValueError(f"{file} ends with an incomplete line: delete this line, or give another file")
+                raise ValueError(f"{file} ends with an incomplete line: delete this line, or use another file")
             self._out: TextIO = path.open("a" if append else "w")
         elif hasattr(file, "write"):
             self._out = file
@@ -96,7 +96,7 @@ class EnergyReporter(_Lines):
         """
         if not isinstance(simulation.integrator, ExactRigidBodyIntegrator):
             raise ValueError(
-                "EnergyReporter needs an ExactRigidBodyIntegrator, but this Simulation has "
+                "EnergyReporter needs an ExactRigidBodyIntegrator, but this Simulation uses "
                 f"{type(simulation.integrator).__name__}: use openmm.app.StateDataReporter"
             )
         return {"steps": self._steps_left(simulation), "periodic": None, "include": ["energy"]}
@@ -164,8 +164,8 @@ class MomentReporter(_Lines):
         particles = simulation.system.getNumParticles()
         if len(self._charges) != particles:
             raise ValueError(
-                f"charges must have one entry for each of the {particles} particles of the System, not "
-                f"{len(self._charges)}: give 0 for particles without a charge"
+                f"charges must contain one entry for each particle of the System, so the length must be {particles}, "
+                f"not {len(self._charges)}: use 0 for particles without a charge"
             )
         if self._links is None:
             _check_ions(self._charges, _molecules(simulation))
@@ -195,7 +195,7 @@ def _check_ions(charges: Array, molecule: NDArray[np.integer[Any]]) -> None:
         first = int(np.flatnonzero(molecule == worst)[0])
         raise ValueError(
             f"charges must add up to 0 in every molecule, but those of the molecule with particle {first} add up to "
-            f"{total[worst]:.6g}: correct these charges, or give 0 for the particles of an ion"
+            f"{total[worst]:.6g}: correct these charges, or use 0 for the particles of an ion"
         )
 
 

@@ -16,15 +16,15 @@ def loadState(target: app.Simulation | openmm.Context, source: str | os.PathLike
     """Load a State that was saved with another integrator.
 
     OpenMM's ``simulation.loadState(file)`` and ``context.setState(state)`` fail with "Unknown property 'version'" if
-    the new integrator is a CustomIntegrator and the old one is not. This function avoids the failure. To load a State
-    of a CustomIntegrator into another integrator, use ``simulation.loadState``.
+    the new integrator is a CustomIntegrator and the old one is not. This function loads such a State without the error.
+    To load a State of a CustomIntegrator into another integrator, use ``simulation.loadState``.
 
     Parameters
     ----------
     target : openmm.app.Simulation or openmm.Context
     source : str, path or openmm.State
         A file that ``simulation.saveState`` wrote, or a State. The function loads its positions, velocities, box, time
-        and step count, and the parameters that the target also has.
+        and step count, and those parameters that the target also has.
 
     Raises
     ------
@@ -40,16 +40,21 @@ def loadState(target: app.Simulation | openmm.Context, source: str | os.PathLike
     if not isinstance(context, openmm.Context):
         raise ValueError(f"a State can be loaded into a Simulation or a Context, but not into {type(target).__name__}")
     if not isinstance(source, (str, os.PathLike, openmm.State)):
-        raise ValueError(f"give a State, or a file that simulation.saveState wrote, not {type(source).__name__}")
+        raise ValueError(
+            f"the source must be a State, or a file that simulation.saveState wrote, not {type(source).__name__}"
+        )
     state = source if isinstance(source, openmm.State) else read_xml(source, openmm.State, "simulation.saveState")
     kinds = state.getDataTypes()
     if not kinds & openmm.State.Positions:
-        raise ValueError("the State has no positions: save it with simulation.saveState, or getState(positions=True)")
+        raise ValueError(
+            "the State contains no positions: save it with simulation.saveState, or create it with "
+            "getState(positions=True)"
+        )
     x = state.getPositions(asNumpy=True)
     if len(x) != context.getSystem().getNumParticles():
         raise ValueError(
-            f"the State has {len(x)} particles, but the System has {context.getSystem().getNumParticles()}: load "
-            "a State of the same System"
+            f"the numbers of particles in the State ({len(x)}) and in the System "
+            f"({context.getSystem().getNumParticles()}) differ: load a State of the same System"
         )
     context.setTime(state.getTime())
     context.setStepCount(state.getStepCount())
@@ -78,10 +83,11 @@ def read_xml(file: str | os.PathLike[str], kind: type[Any], writer: str = "openm
         content: Any = openmm.XmlSerializer.deserialize(Path(file).read_text(encoding="utf-8"))
     except (openmm.OpenMMException, ValueError) as error:
         raise ValueError(
-            f"{file} was not written by {writer} ({' '.join(str(error).split())}): give a file that {writer} wrote"
+            f"{file} was not written by {writer} ({' '.join(str(error).split())}): pass a file that {writer} wrote"
         ) from None
     if not isinstance(content, kind):
         raise ValueError(
-            f"{file} contains type {type(content).__name__}, not {kind.__name__}: give a file of type {kind.__name__}"
+            f"{file} contains an object of type {type(content).__name__}, not {kind.__name__}: pass a file of a "
+            f"{kind.__name__}"
         )
     return content

@@ -39,7 +39,7 @@ class Substep:
     moves : bool
         Whether the substep may change positions, the box or parameters, so that forces must be evaluated again.
     kicks : bool
-        Whether the substep changes momenta by forces at the present positions; such substeps commute.
+        Whether the substep changes momenta by forces at the present positions. Such substeps commute.
     additive : bool
         Whether two successive substeps equal one substep over the sum of their times, which is the case for every exact
         flow.
@@ -64,7 +64,9 @@ class Substep:
 
     def oscillator(self, tau: Any) -> Matrix:
         """Return the matrix of the substep for the oscillator q'' = -q, whose angular frequency is 1."""
-        raise ValueError(f"{self!r} has no matrix for a harmonic oscillator: define its method oscillator()")
+        raise ValueError(
+            f"the substep {self!r} has no matrix for a harmonic oscillator: define its method oscillator()"
+        )
 
     def device_moves(self, part: float) -> tuple[Move, ...] | None:
         """Return the moves over a fraction of the step, or None if a device does not support the substep."""
@@ -147,15 +149,15 @@ class GradientKick(Substep):
     Over tau, the kick is the flow of V - (strength/2) tau² f . M^-1 f up to higher orders of tau, where f is the
     generalised force and M the mass matrix. For a body with centre R, orientation q, force F and torque N, forces are
     evaluated at R + d and q exp(e I^-1 N), where d = e F/M and e = strength tau². The torque of the kick is about R and
-    along the axes of q: the torque about the displaced centre plus d x F, rotated from the displaced axes. Both
-    corrections are of second order in e, except for the commutator of the body axes, e (I^-1 N) x N. The kick is
-    time-reversible and, up to these orders, symplectic. The kick conserves the linear momentum, and also the angular
-    momentum if all particles belong to bodies that rotate about three axes. For single particles and linear bodies,
-    which cannot absorb such torques, the angular momentum is conserved only up to these orders. For single particles,
-    this is the Hessian-free kick of K. Schäfers, J. Finkenrath, M. Günther and F. Knechtli, Comput. Phys. Commun. 309,
-    109478 (2025). Constrained atoms are displaced along the geodesic of F, and the force at the displaced positions is
-    projected onto the constraints. To first order in e, the projected force gives the covariant derivative of F along
-    itself.
+    along the axes of q: the torque about the displaced centre plus d x F, rotated from the displaced axes. The term d x
+    F and this rotation change the torque only to second order in e, except for the first-order commutator of the body
+    axes, e (I^-1 N) x N. The kick is time-reversible, and symplectic up to higher orders of tau. The kick conserves the
+    linear momentum, and also the angular momentum if all particles belong to bodies that rotate about three axes. For
+    single particles and linear bodies, which cannot absorb a torque about every axis, the angular momentum is conserved
+    only up to higher orders of tau. For single particles, the kick is the Hessian-free kick of K. Schäfers, J.
+    Finkenrath, M. Günther and F. Knechtli, Comput. Phys. Commun. 309, 109478 (2025). Constrained atoms are displaced
+    along the geodesic of F, and the force at the displaced positions is projected onto the constraints. To first order
+    in e, the projected force gives the covariant derivative of F along itself.
 
     Parameters
     ----------
@@ -228,7 +230,7 @@ class HeatExchange(Substep):
     Parameters
     ----------
     number : int, optional
-        Index among the heat exchanges of a step, each of which has its own random numbers.
+        Index of the exchange within the step. Each heat exchange has its own random numbers.
     """
 
     number: int = 0
@@ -262,7 +264,9 @@ def of_symbol(symbol: str) -> Substep:
     if group:
         found = Kick(int(group[1]))
     if found is None:
-        raise ValueError(f"unknown substep {symbol!r}: choose A, B, B0 to B31 or O, or use a Substep in the sequence")
+        raise ValueError(
+            f"the substep {symbol!r} is unknown: choose A, B, B0 to B31 or O, or use a Substep in the sequence"
+        )
     return found
 
 

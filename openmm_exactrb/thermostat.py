@@ -20,7 +20,7 @@ from openmm_exactrb.schemes import Scheme, thermostatted
 from openmm_exactrb.support.types import Array
 
 #: exchange(P, m, tau, at) -> (P, m): linear and angular momenta as double-doubles of shape (2, 3, N) and (2, 3, K), in
-#: new arrays or the same ones.
+#: new arrays or in the same arrays.
 Exchange = Callable[[Array, Array, float, Instant], tuple[Array, Array]]
 
 _SEEDS = 2**31  # number of non-negative seeds in OpenMM
@@ -30,8 +30,8 @@ _STREAMS = 2**22  # a seed and a stream fit into the 53 bits of an OpenMM variab
 class Factors(NamedTuple):
     """The device kernel that computes the two factors of a heat exchange, a function in kernels/thermostats.cl.
 
-    The record contains the name of the kernel, its preprocessor definitions and the number of its persistent variables:
-    those of ``Thermostat.numbers``, followed by the thermostat's own.
+    The record contains the name of the kernel, its preprocessor definitions and the number of its persistent variables.
+    The variables are those of ``Thermostat.numbers``, followed by the thermostat's own.
     """
 
     kernel: str
@@ -75,7 +75,7 @@ class Thermostat(ABC):
 
     @property
     def own_numbers(self) -> tuple[str, ...]:
-        """Names of variables of this thermostat alone; checkpoints with them cannot be read by other thermostats."""
+        """Names of variables of this thermostat alone. Other thermostats cannot read checkpoints that contain them."""
         return ()
 
     @abstractmethod
@@ -173,7 +173,7 @@ class Noise:
 
 
 def valid_seed(seed: int) -> int:
-    """Return the seed if OpenMM's integrators accept it; raise ValueError if it is not below 2^31."""
+    """Return the seed if OpenMM's integrators accept it; raise ValueError if the seed is not below 2^31."""
     if seed >= _SEEDS:
         raise ValueError(f"the seed must be below 2^31, not {seed}")
     return seed

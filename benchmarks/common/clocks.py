@@ -1,4 +1,4 @@
-"""Times of contenders that take turns, so that all of them meet the same neighbours on the machine."""
+"""Interleaved timings of several candidates, so that other processes on the machine affect all of them equally."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""Droplets of rigid water, compiled as a whole: some 20 us a force for 32 molecules, so that searches can afford runs.
+"""Compiled simulation of droplets of rigid water, at about 20 us per force evaluation for 32 molecules.
 
-The potential is that of the System of `openmm_exactrb.rigid_water` without a cutoff, the drift is the package's exact
-rotor, and a sequence of substeps is carried out here as the integrator does, in plain float64.
+The potential is that of the System of `openmm_exactrb.rigid_water` without a cutoff, and the drift is the exact rotor
+of the package. Sequences of substeps are performed as in the integrator, but in float64 without compensated summation.
+The speed is needed for searches.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How far the total energy of a run at constant energy is off: its spread within windows of time."""
+"""The energy error of a run at constant energy: the standard deviation of the total energy within time windows."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Temperatures of a solute in water by groups, from positions and velocities, whatever integrator they come from.
+"""Temperatures of water and of the groups of a solute, from the positions and velocities of any integrator.
 
-Linear and angular momenta of each molecule of water, and the velocities of the solute after projection on its
-constraints, are those of the canonical distribution. "Reported" are the temperatures of the velocities as a State has
-them, which may have parts along constraints.
+Temperatures are computed from the linear and angular momenta of each water molecule, and from the velocities of the
+solute after projection onto its constraints. "Reported" temperatures are computed from the velocities of a State, which
+may have components along constraints.
 """
 
 from __future__ import annotations

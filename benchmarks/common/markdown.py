@@ -1,4 +1,4 @@
-"""Tables in Markdown for the documentation, from the records in docs/."""
+"""Markdown tables for the documentation, generated from the records in docs/."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures without a screen, in colours that a colour-blind reader can tell apart (Okabe and Ito)."""
+"""Pictures that need no display, in colours that colour-blind readers can distinguish (Okabe and Ito)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Solutes in water for benchmarks: alanine dipeptide, a PDB file, or a helix of alanines that is built here."""
+"""Solutes in water: alanine dipeptide, a PDB file, or a polyalanine helix that is built here."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where measurements are kept: tables in docs/ that the pages are made from, and raw data in out/benchmarks/."""
+"""Storage of measurements: tables in docs/, from which the pages are generated, and raw data in out/benchmarks/."""
 
 from __future__ import annotations
 

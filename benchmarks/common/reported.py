@@ -1,4 +1,4 @@
-"""Runs that report to a file and continue after an interruption."""
+"""Runs with a reporter that continue after an interruption."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from openmm import app
 
 #: ps that are not counted.
@@ -35,3 +36,8 @@ def reported(
         simulation.saveState(str(saved))
     reports.close()
     return file
+
+
+def error_over_runs(weights: np.ndarray, errors: np.ndarray, systematic: np.ndarray) -> float:
+    """Return the error of a mean over runs (runs,) whose statistical errors are independent, but not the others."""
+    return float(np.sqrt(weights**2 @ (errors**2 - systematic**2) + (weights @ systematic) ** 2))

@@ -1,4 +1,4 @@
-"""How benchmarks begin: Contexts, and canonical States in them."""
+"""The starts of benchmarks: Contexts, and States drawn from the canonical distribution."""
 
 from __future__ import annotations
 

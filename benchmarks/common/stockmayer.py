@@ -1,4 +1,4 @@
-"""A Stockmayer liquid: density 0.822, kT = 1.15 and mu² = 3 in units of Lennard-Jones, moments of inertia 0.2."""
+"""A Stockmayer liquid in Lennard-Jones units: density 0.822, kT = 1.15, mu² = 3, and moments of inertia of 0.2."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The structure of a solute in water: torsions of a peptide, distances between oxygens, and diffusion."""
+"""Structure and diffusion of a solute in water: torsions of a peptide, and distances between oxygens."""
 
 from __future__ import annotations
 

@@ -1,16 +1,16 @@
-"""A Martini 2 membrane with cholesterol at 20 and 30 fs: the temperature of each kind of molecule.
+"""A Martini 2 membrane with cholesterol at steps of 20 and 30 fs: the temperature of each kind of molecule.
 
-OpenMM's constraint solver does not converge for this cholesterol, two triangles of constraints on a hinge, and that of
-GROMACS not at its defaults: cholesterol, lipids and water then have different temperatures
-(doi:10.1021/acs.jpcb.1c03665, doi:10.1021/acs.jctc.2c01032). Here they run by the geodesic flow, at constant
-temperature and with a MonteCarloMembraneBarostat, and by OpenMM's LangevinMiddleIntegrator, plain and with the dummy
-torsions of OpenMM's issue 3603.
+Cholesterol is modelled by two hinged triangles of constraints, for which OpenMM's constraint solver does not converge,
+and that of GROMACS does not converge with its default settings. Cholesterol, lipids and water then have different
+temperatures (doi:10.1021/acs.jpcb.1c03665, doi:10.1021/acs.jctc.2c01032). The script compares the geodesic flow, at
+constant temperature and with a MonteCarloMembraneBarostat, with OpenMM's LangevinMiddleIntegrator, without and with the
+dummy torsions of OpenMM's issue 3603.
 
-Rows of LINCS are what doi:10.1021/acs.jpcb.1c03665 reports, as words. DPPC alone (--composition DPPC) is for its area
-and order, which are known from experiments.
+The rows of LINCS quote the results of doi:10.1021/acs.jpcb.1c03665. Runs of DPPC alone (--composition DPPC) measure the
+area per lipid and the order parameter, which are known from experiments.
 
-Samples go to out/benchmarks/cholesterol_membrane/METHOD-STEP.csv every 0.12 ps, with checkpoints beside them: the same
-command resumes after a break. --table prints what the files have and writes docs/cholesterol.csv.
+Samples are written every 0.12 ps to out/benchmarks/cholesterol_membrane/METHOD-STEP.csv, next to checkpoints, so that
+the same command resumes an interrupted run. --table prints the averages of these files and writes docs/cholesterol.csv.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Clusters with distance constraints to try the free flow on: masses in amu, pairs, and places in nm."""
+"""Clusters with distance constraints for tests of the free flow: masses in amu, pairs, and positions in nm."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""Martini 2 bilayers of DPPC or DIPC, cholesterol and water, from published parameters alone.
+"""Martini 2 bilayers of DPPC or DIPC, cholesterol and water, built from published parameters only.
 
-Interaction levels, bead types and lipids: S. J. Marrink et al. (2007), doi:10.1021/jp071097f, with the C4 beads of
-doi:10.1021/acs.jctc.5b00209 in DIPC. Cholesterol with three virtual sites and two hinged triangles of constraints:
-M. N. Melo, H. I. Ingolfsson and S. J. Marrink (2015), doi:10.1063/1.4937783, topology of May 2014. Cut off at 1.1 nm,
-Lennard-Jones shifted to zero there, reaction field with a dielectric constant of 15 within and of infinity beyond:
-D. H. de Jong et al. (2016), doi:10.1016/j.cpc.2015.09.014.
+Interaction levels, bead types and lipids are those of S. J. Marrink et al. (2007), doi:10.1021/jp071097f; DIPC has the
+C4 beads of doi:10.1021/acs.jctc.5b00209. Cholesterol has three virtual sites and two hinged triangles of constraints:
+M. N. Melo, H. I. Ingolfsson and S. J. Marrink (2015), doi:10.1063/1.4937783, topology of May 2014. The cutoff is 1.1
+nm, with the Lennard-Jones potential shifted to zero there, and a reaction field with a dielectric constant of 15 within
+the cutoff and infinity beyond: D. H. de Jong et al. (2016), doi:10.1016/j.cpc.2015.09.014.
 """
 
 from __future__ import annotations

@@ -1,12 +1,13 @@
-"""Constrained rings of Martini, cholesterol and a dodecahedron: their temperatures and constraints at 20 and 30 fs.
+"""Constrained Martini rings, cholesterol and a dodecahedron: temperatures and constraint errors at 20 and 30 fs.
 
-Copies of one molecule that do not meet, with the bonds, angles and impropers of the force field, in a Langevin
-thermostat of friction 5/ps at 310 K: what a constraint solver does wrong shows in the temperature, which is measured
-from the velocities of the beads and the degrees of freedom. Martini 2: doi:10.1021/ct700324x with the rings of
-doi:10.1021/ct300646g; Martini 3: doi:10.1038/s41592-021-01098-3; cholesterol as in `martini`. Each is compared with
-OpenMM's LangevinMiddleIntegrator, tolerance 1e-6. Every run draws from a seed of its own, so that rows are independent.
+Copies of one molecule that do not interact, with the bonds, angles and impropers of the force field, are coupled to a
+Langevin thermostat with a friction of 5/ps at 310 K. Errors of a constraint solver change the temperature, which is
+computed from the velocities of the beads and the degrees of freedom. Martini 2: doi:10.1021/ct700324x with the rings of
+doi:10.1021/ct300646g; Martini 3: doi:10.1038/s41592-021-01098-3; cholesterol as in `martini`. Each molecule is also
+simulated with OpenMM's LangevinMiddleIntegrator, tolerance 1e-6. Every run has a separate seed, so that rows are
+independent.
 
-Rows go to docs/martini_rings.csv as they come; what stands there is not run again.
+Rows are added to docs/martini_rings.csv as runs finish; runs that the file contains are not repeated.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Small rigid molecules whose distances are all constrained, and the table of their properties."""
+"""Small rigid molecules, all of whose distances are constrained, and the table of their properties."""
 
 from __future__ import annotations
 

@@ -1,9 +1,10 @@
-"""What a force evaluation and a whole stage of S6_10 cost for N soft dipoles: OpenMM's formula, ours, LAMMPS.
+"""The time of a force evaluation and of a stage of S6_10 for N soft dipoles: OpenMM's formula, our kernel, LAMMPS.
 
-All in turns within one run; a time is the least of the rounds, since other work on the machine only adds to it.
-OpenMM's formula is left out from N = 4000 on, where it takes seconds and its eight million bonds gigabytes. LAMMPS runs
-pair_style lj/cut/dipole/cut 60 with open boundaries and fix nve/sphere update dipole on one core, where a step is one
-force evaluation; it is left out where it is not installed. Raw data go to out/benchmarks/dipole_cost.json.
+The candidates are measured alternately within one run. The smallest time over the rounds is used, because other
+processes can only increase the times. OpenMM's formula is omitted from N = 4000 on, where an evaluation takes seconds,
+and the eight million bonds take gigabytes. If LAMMPS is installed, it runs on one core with pair_style
+lj/cut/dipole/cut 60, open boundaries and fix nve/sphere update dipole; each of its steps is one force evaluation. Raw
+data are written to out/benchmarks/dipole_cost.json.
 """
 
 from __future__ import annotations

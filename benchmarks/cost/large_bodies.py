@@ -1,9 +1,9 @@
-"""A large rigid body in water: what a step costs, and what it costs or saves to exclude the pairs within the body.
+"""A large rigid body in water: the time of a step, and the effect of excluding the pairs within the body.
 
-A sphere of charged Lennard-Jones atoms, about as dense as a protein, in TIP3P. Forces within a body do not move it, so
-that OpenMM need not compute them: an exception for each pair says so. Measured on the CPU platform with one thread, as
-medians of alternating evaluations in CPU time: forces without and with these exceptions, and a step of V2, which
-evaluates forces once, with the body named in ``bodies=``. Rows go to docs/large_bodies.csv.
+The body is a sphere of charged Lennard-Jones atoms, about as dense as a protein, in TIP3P. Forces within a body do not
+move it, so exceptions for its pairs can remove them. The script measures force evaluations without and with these
+exceptions, and steps of V2, which evaluates forces once, with the body passed as ``bodies=``. Times are medians of
+alternating evaluations, in CPU time on the CPU platform with one thread. Rows are written to docs/large_bodies.csv.
 """
 
 from __future__ import annotations

@@ -1,14 +1,16 @@
-"""What one changed line of a stock script costs and brings: the defaults beside OpenMM's own integrators.
+"""The cost and the benefit of one changed line of a script: the default integrators compared with those of OpenMM.
 
-A box of TIP3P and a helix in water, as `createSystem` makes them (PME, a CMMotionRemover), on the CPU platform with one
-thread, through `Simulation.step` with a report every 100 steps. Processor times are the least of rounds in which the
-integrators take turns, so that all of them meet the same neighbours on the machine. With --energies also the standard
-deviation of the total energy over 30 ps from the same starts, with a switch and a tight Ewald tolerance.
+The systems are a box of TIP3P and a helix in water, as built by `createSystem` (PME, a CMMotionRemover). They run on
+the CPU platform with one thread, through `Simulation.step` with a report every 100 steps. Processor times are the
+smallest over several rounds in which the integrators alternate, so that other processes affect all of them equally.
+With --energies, the script instead measures the standard deviation of the total energy of a box over 30 ps from the
+same starts, with a switch and a tight Ewald tolerance.
 
-With --long the time per force evaluation, and how much is simulated in an hour, of a protein with a force every 8 and
-10 fs (`W2_3m`, all hydrogens of 3 amu), in relation to LangevinMiddleIntegrator at 4 fs with heavy hydrogens of the
-solute. The same integrator at 8 fs, which needs AllBonds, shows what OpenMM itself takes for an evaluation every 8 fs,
-with new neighbour lists twice as often. With two threads times are wall times, and the machine should be quiet.
+With --long, the script measures the time per force evaluation, and the length simulated per hour, of a protein with a
+force evaluation every 8 and 10 fs (`W2_3m`, all hydrogens of 3 amu). Results are relative to LangevinMiddleIntegrator
+at 4 fs with heavy hydrogens of the solute. That integrator at 8 fs, which needs AllBonds, shows the time that OpenMM
+itself needs per evaluation every 8 fs, with twice as many updates of the neighbour list per evaluation. With two
+threads, times are wall times, and no other process should run.
 
     python benchmarks/cost/one_line.py
     python benchmarks/cost/one_line.py --energies --molecules 216 --starts 3

@@ -1,6 +1,7 @@
-"""What a whole step costs beside its force evaluations alone, in turns within one run.
+"""The time of a whole step compared with that of its force evaluations alone, measured alternately within one run.
 
-The bare loop is setPositions and getState(forces). Raw data go to out/benchmarks/step_cost.csv.
+The loop of force evaluations calls setPositions and getState(forces). Raw data are written to
+out/benchmarks/step_cost.csv.
 """
 
 from __future__ import annotations

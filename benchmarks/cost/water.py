@@ -1,8 +1,9 @@
-"""What a step of rigid water costs beside bare force evaluations and Verlet, and what the integrator adds of its own.
+"""The time of a step of rigid water compared with that of force evaluations and Verlet, and the integrator's own time.
 
-895 molecules with PME on the CPU platform: wall time of a force evaluation inside our step, beside a bare loop of
-setPositions and getState(forces), and beside VerletIntegrator.step. Without any force: the integrator's own time and
-memory a molecule, for 100 to 20 000 molecules. Raw data go to out/benchmarks/water_*.csv; --quick is short.
+For 895 molecules with PME on the CPU platform, the script measures the wall time of a force evaluation within our step,
+in a loop of setPositions and getState(forces), and in VerletIntegrator.step. Without any force, it measures the time
+and memory per molecule of the integrator alone, for 100 to 20 000 molecules. Raw data are written to
+out/benchmarks/water_*.csv; --quick makes a short run.
 """
 
 from __future__ import annotations

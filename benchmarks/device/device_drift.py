@@ -1,13 +1,13 @@
-"""The drift of the energy in single, mixed and double precision: the device engine, the host, and OpenMM's integrators.
+"""The energy drift in single, mixed and double precision: the device engine, the host engine, and OpenMM's integrators.
 
-A periodic box of TIP3P with PME and a switched cutoff, from one start at 300 K; a droplet, whose forces have no other
-errors; or a peptide in water with heavy hydrogens, and inner steps for its bonded forces. All integrators get the same
-time between two force evaluations. Printed and written for each run: the slope of a straight line through the total
-energy per molecule with the standard error that four parts of the run give, and the standard deviation about that line.
-The potential energy is that of a Context in double precision at the positions of the bodies, so that what a run does
-counts, and not what its Context can show of it. LangevinMiddle has no friction here; the energy at the ends of its
-steps has errors of first order. Starts, samples and checkpoints are in a folder next to the CSV file, so that the same
-command resumes a run that was cut off; another command needs another file.
+The system is a periodic box of TIP3P with PME and a switched cutoff, a droplet without a cutoff, or a peptide in water
+with heavy hydrogens and inner steps for its bonded forces. All runs begin at one start at 300 K and have the same time
+between two force evaluations. For each run the script writes the slope of a line through the total energy per molecule,
+its standard error from four parts of the run, and the standard deviation about that line. The potential energy is that
+of a Context in double precision at the positions of the bodies, so that the precision of the Context affects the
+dynamics but not the measurement. LangevinMiddle has no friction here; the energy at the ends of its steps has errors of
+first order. Starts, samples and checkpoints are stored in a folder next to the CSV file, so that the same command
+resumes an interrupted run; a command with other settings needs another file.
 
     python benchmarks/device/device_drift.py --platform OpenCL --molecules 64 --ps 6 --samples 60
     python benchmarks/device/device_drift.py --platform OpenCL --system droplet --molecules 27 --fs 0.4 --ps 0.4 \

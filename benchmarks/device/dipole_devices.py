@@ -1,12 +1,13 @@
-"""Dipoles from OpenMM's own forces on a device: what they cost, and how wrong they are.
+"""The cost and the errors of forces between dipoles that OpenMM itself computes on a device.
 
-The liquid is a Stockmayer fluid at density 0.822, kT = 1.15 and mu² = 3, molten for 1000 dipoles or fewer; more are
-copies of it, shaken. Errors are root mean square, as a part of the quantity's own, of forces and torques on the bodies.
+The liquid is a Stockmayer fluid at density 0.822, kT = 1.15 and mu² = 3, equilibrated for 1000 dipoles or fewer. Larger
+samples are copies of the liquid with random displacements and rotations. Errors are those of forces and torques on the
+bodies, as root mean squares relative to those of the exact values.
 
-"bonds" compares the two forces of a reaction field, donors and acceptors beside a bond for each pair, both on the
-device, in turns within one run, with the compiled kernel as the reference of their errors. "rods" measures the rods of
-charges that stand for an Ewald sum over their length and the tolerance, against the compiled sum at 1e-10, dipoles
-alone. Rows go to docs/dipole_bonds.csv and docs/dipole_rods.csv.
+"bonds" compares the two forces for a reaction field, with donors and acceptors or with a bond for each pair. Both run
+alternately on the device, and the compiled kernel is the reference for their errors. "rods" measures the rods of
+charges that represent dipoles in an Ewald sum, as a function of their length and the tolerance, without spheres,
+relative to the compiled sum at 1e-10. Rows are written to docs/dipole_bonds.csv and docs/dipole_rods.csv.
 """
 
 from __future__ import annotations

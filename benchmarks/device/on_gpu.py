@@ -1,20 +1,21 @@
-"""Test and measure the device engine on a GPU: water, proteins, a membrane and dipoles beside OpenMM's integrators.
+"""Test and measure the device engine on a GPU, for water, proteins, a membrane and dipoles, with OpenMM for comparison.
 
-In a checkout, with a C++ compiler for the library of the device engine:
+The script runs in a checkout and needs a C++ compiler for the library of the device engine:
 
     pip install -e ".[test]" "openmm-cuda-12>=8.6,<8.7" openmmtools     (or openmm-cuda-13, openmm-hip-6)
     python benchmarks/device/on_gpu.py --platform CUDA --minutes 9
 
-First tests of the device run on the platform. Then each system is measured, in rounds in which the integrators take
-turns, ours on the device, or on both engines with --engines device host; rows are written to the CSV file when a system
-is done, so that a run that is cut off keeps what it has. "ms" is the time of a force evaluation, a median of rounds;
-"ratio" is to VerletIntegrator, or to LangevinMiddleIntegrator for what has a thermostat; "ns/day" counts the time
-between two evaluations: 1 fs for water. Proteins have hydrogens of 3 amu, and 4 fs with LangevinMiddleIntegrator and
-BAOA, 8 fs with W2_3m. Villin is OpenMM's test.pdb, DHFR that of openmmtools and left out without it, and the membrane
-the patch of 128 POPC in water of which Modeller.addMembrane makes its own, with charmm36; --proteins takes PDB files
-too, which are solvated (DHFR is in OpenMM's repository, examples/benchmarks). A name with counts, such as dhfr:2x2x1,
-is so many copies of the box along each axis: 94 000 atoms, as many as ApoA1 has, or a million with dhfr:2x3x7. "first
-s" are the seconds of the first steps.
+The script first runs the tests of the device on the platform. It then measures each system in rounds in which the
+integrators alternate. Integrators of this package run on the device, or on both engines with --engines device host.
+Rows are written to the CSV file after each system, so that an interrupted run keeps its results. "ms" is the median
+time of a force evaluation. "ratio" is relative to VerletIntegrator, or to LangevinMiddleIntegrator for integrators with
+a thermostat. "ns/day" assumes 1 fs between force evaluations of water. Proteins have hydrogens of 3 amu, and 4 fs with
+LangevinMiddleIntegrator and BAOA, 8 fs with W2_3m. "first s" is the time of the first steps in seconds.
+
+Villin is OpenMM's test.pdb, DHFR that of openmmtools (omitted if openmmtools is not installed). The membrane is the
+patch of 128 POPC in water that Modeller.addMembrane replicates, with charmm36. --proteins also accepts PDB files, which
+are solvated (DHFR is in OpenMM's repository, examples/benchmarks). A name with counts, such as dhfr:2x2x1, means that
+many copies of the box along each axis: 94 000 atoms, as many as ApoA1 has, or a million with dhfr:2x3x7.
 """
 
 from __future__ import annotations

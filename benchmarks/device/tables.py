@@ -1,4 +1,4 @@
-"""Tables of on_gpu.py: what a force evaluation costs on a GPU, and how far proteins get in a day."""
+"""Tables of on_gpu.py: the time of a force evaluation on a GPU, and the length that is simulated per day."""
 
 from __future__ import annotations
 

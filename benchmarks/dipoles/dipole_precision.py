@@ -1,11 +1,11 @@
 """Energy error against wall time for 125 soft dipoles: our schemes, V2 with McLachlan-Reich, and LAMMPS.
 
-It answers who is fastest at which error. All integrate the same System from the same start at rest over T = 5: a
-droplet of spheres with one moment of inertia, because LAMMPS's fix nve/sphere knows no other. LAMMPS has no pure
-(σ/r)^12, so its energies come from pair_style hybrid/overlay of dipoles and a Mie potential whose attraction is a
-constant; its time is that of plain lj/cut/dipole/cut, which it computes faster. Times are the seconds of an
-evaluation, the least of several rounds in turns, times the evaluations of the run. Raw data go to
-out/benchmarks/dipole_precision.json, the picture to docs/dipole_precision.png.
+The benchmark determines the fastest code for a given error. All codes integrate the same droplet from the same start at
+rest over T = 5. All three moments of inertia of a sphere are equal, because LAMMPS's fix nve/sphere requires this.
+LAMMPS has no pure (σ/r)^12 potential, so its energies are computed with pair_style hybrid/overlay of dipoles and a Mie
+potential whose attraction is a constant. Its time is that of plain lj/cut/dipole/cut, which is faster. Times are the
+number of evaluations of a run times the seconds of an evaluation, the smallest over several rounds in which the codes
+alternate. Raw data are written to out/benchmarks/dipole_precision.json, and the picture to docs/dipole_precision.png.
 """
 
 from __future__ import annotations

@@ -1,16 +1,16 @@
-"""What an evaluation of N dipoles costs by rb.Ewald, and its errors, beside its direct sum and LAMMPS: CSV and picture.
+"""Time and errors of an evaluation of N dipoles by rb.Ewald, by its direct sum and by LAMMPS: CSV and picture.
 
-The liquid is a Stockmayer fluid at density 0.822, kT = 1.15 and mu² = 3, spheres on a lattice with random displacements
-and directions. Errors are root mean square of forces and torques of the dipoles, as a part of theirs, against an
-independent sum at 1e-12 (nufft_ewald.py, which needs finufft). Times are processor time on one core, the least of the
-rounds, all contenders in turns; of several cores, wall time.
+The liquid is a Stockmayer fluid at density 0.822, kT = 1.15 and mu² = 3, with spheres on a lattice with random
+displacements and directions. Errors are root mean squares of the errors of forces and torques, relative to those of the
+forces and torques, with an independent sum at 1e-12 as the reference (nufft_ewald.py, which needs finufft). Times are
+the smallest over rounds in which all candidates alternate: processor times on one core, wall times on several cores.
 
-rb.Ewald has a row for each tolerance. LAMMPS (pair_style lj/cut/dipole/long and pppm/dipole, where it is installed) has
-its splitting from the error of its pairs and meshes from coarse to fine until forces and torques reach each level of
-error, by cutoffs and orders: a row is the fastest of these, and on the smaller samples ewald/dipole takes part. More
-than 8000 dipoles have the settings that were the fastest for 8000, with a mesh as fine. Its spheres do not act, and a
-step is one evaluation. The rows of a level are comparable: "level" is the smallest of these that forces and torques
-reach.
+rb.Ewald has a row for each tolerance. LAMMPS, if it is installed, runs pair_style lj/cut/dipole/long and pppm/dipole.
+Its splitting follows from the error of its pairs, and its mesh is refined until forces and torques reach each level of
+error, for several cutoffs and orders. A row contains the fastest of these settings; for samples below 2000 dipoles,
+ewald/dipole is tried too. Samples above 8000 dipoles use the settings that were fastest for 8000, with the same mesh
+spacing. The spheres do not interact in LAMMPS, and a step is one evaluation. "level" is the smallest level of error
+that forces and torques both reach; rows of the same level are comparable.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""The Ewald sum of point dipoles by another library's nonuniform Fourier transforms: an independent reference.
+"""The Ewald sum of point dipoles by nonuniform Fourier transforms of another library, as an independent reference.
 
-finufft (pip install finufft) sums the waves, and numpy the pairs that scipy's tree finds within a cutoff; nothing of
-the package is used. At 1e-12 a sum of 27 000 dipoles takes a minute and 2 GB.
+finufft (pip install finufft) sums the waves, and numpy sums the pairs that the tree of scipy finds within a cutoff. No
+code of the package is used. At a tolerance of 1e-12, a sum of 27 000 dipoles takes a minute and 2 GB.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Tables of dipoles: dipole_scale.py, dipole_energy.py, and dielectric constants of examples/dielectric_constant.py."""
+"""Tables of dipole_scale.py, dipole_energy.py and the dielectric constants of examples/dielectric_constant.py."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Sentences that are compared with numbers: of the paper, and, counted separately, our own.
+"""Statements of the paper, and separately our own, compared with numbers.
 
-A criterion is a condition computed from the data, for every draw of random starts or for the mean over draws. The verdict
-on a claim follows from its criteria and from nothing else. Criteria of our own, stricter than the sentence, are shown
-and do not decide.
+A criterion is a condition computed from the data, either for every draw of random starts or for the mean over draws.
+The verdict on a claim follows from its criteria alone. Criteria of our own that are stricter than the statement are
+shown, but do not affect the verdict.
 """
 
 from __future__ import annotations

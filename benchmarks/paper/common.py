@@ -1,9 +1,9 @@
-"""What the paper's figures share: work on all cores that resumes, pictures, free bodies.
+"""Functions shared by the figures of the paper: parallel jobs that can be resumed, pictures, and free bodies.
 
-Every script of this folder has `NAME`, `TITLE`, `PICTURES`, `compute(quick) -> data`, `draw(data)`, `table(data)` and
-`claims(data)`, and hands itself to `main`. `PICTURES` says of each picture what it shows, for those who cannot see it. The
-full version keeps its data and pictures in docs/paper, the quick one in out/paper/quick/paper. Finished pieces of the work
-lie in out/paper/pieces, so that a run that was stopped continues.
+Every script of this folder defines `NAME`, `TITLE`, `PICTURES`, `compute(quick) -> data`, `draw(data)`, `table(data)`
+and `claims(data)`, and passes itself to `main`. `PICTURES` contains a text alternative for each picture. The full
+version stores its data and pictures in docs/paper, the quick version in out/paper/quick/paper. Finished jobs are stored
+in out/paper/pieces, from which an interrupted run continues.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""The paper's free-body methods, compiled: twins of `rotors.euler`, `rotation`, `quaternion` and `moser_veselov`.
+"""The paper's free-body methods in compiled form: `rotors.euler`, `rotation`, `quaternion` and `moser_veselov`.
 
-The paper's programs are written in Fortran. In numpy an iteration body by body costs far more than a formula for all bodies,
-so that the costs of such methods cannot be compared there. The twins have the formulas and the names of the package's
-functions. They take moments in ascending order and bodies that are regular (`euler.is_regular`), and check nothing.
+The paper's programs are written in Fortran. In numpy, an iteration for each body costs far more than a formula for all
+bodies, so costs in numpy are not comparable. The compiled functions have the formulas and the names of the package's
+functions. They accept only ascending moments and regular bodies (`euler.is_regular`), and do not check their arguments.
 """
 
 import math

@@ -2,10 +2,10 @@
 
 The figure compares exact methods with approximations by Gauss's rule and with Moser-Veselov methods (`dmv`). The
 verdicts are based on ten draws of 100 bodies. Costs in the picture and in the claims are processor times of compiled
-code, because the paper's programs are in Fortran. The compiled methods loop over the bodies and agree to roundoff with
-the same methods in numpy. The paper draws random inertias and does not state whether I1 + I2 >= I3 holds. Our inertias
-satisfy this condition, as do those of every real body. Only the number of converged runs is given for both kinds of
-inertias.
+code, because the programs of the paper are in Fortran. The compiled methods loop over the bodies and agree to roundoff
+with the same methods in numpy. The paper draws random inertias and does not state whether I1 + I2 >= I3 holds. Our
+inertias satisfy this condition, as do those of every real body. Only the numbers of converged runs are also given for
+inertias that do not satisfy this condition.
 """
 
 import sys

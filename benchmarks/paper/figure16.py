@@ -2,9 +2,9 @@
 
 The figure shows the gain of a high order for a molecular system, and that every scheme has only second order with the
 McLachlan-Reich rotation instead of the exact flow. The paper's initial state is random, and only its energy is given.
-We use those ten of 4000 random initial states whose energies are closest to the printed energy. In each of them, two
-dipoles are close to each other. The verdicts are based on these ten. Five random initial states that were not selected
-are shown for comparison. Their dipoles hardly move.
+We use those ten of 4000 random initial states whose energies are closest to the printed energy. In each of these ten
+states, two dipoles are close to each other. The verdicts are based on the ten states. For comparison, the figure also
+shows five random initial states that were not selected, in which the dipoles hardly move.
 """
 
 import sys

@@ -1,11 +1,11 @@
 """Figure 18: two Nyström splittings on [0, 10], from the starts of figure 17.
 
-The paper's "initial conditions as before" are those of figure 17: 125 soft dipolar spheres on a lattice, all at rest
-except the two in opposite corners, whose momenta determine the energy. The paper shows one start; we use ten starts for
-each energy. The paper gives neither the lattice constant nor the energies. Our lattice constant is 3, as in figure 17,
-so that the spheres collide within ten units of time. With a lattice constant of 6, which is also shown, they do not
-collide. The paper's explanation of the figure depends on values that the paper does not give, so we can neither confirm
-nor refute the explanation.
+The paper's "initial conditions as before" are those of figure 17: 125 soft dipolar spheres on a lattice. All spheres
+are at rest except the two in opposite corners, whose momenta determine the energy. The paper shows one start, whereas
+we use ten starts for each energy. The paper gives neither the lattice constant nor the energies. Our lattice constant
+is 3, as in figure 17, so that the spheres collide within ten units of time. With a lattice constant of 6, which is also
+shown, the spheres do not collide. The paper's explanation of the figure depends on values that the paper does not give,
+so we can neither confirm nor refute the explanation.
 """
 
 import sys

@@ -1,6 +1,7 @@
-"""Rigid bodies about a fixed point in a potential: energies, torques, and the paper's initial values.
+"""Rigid bodies about a fixed point in a potential: energies, torques, and the initial values of the paper.
 
-All arrays are component-first, for many copies of a problem: attitudes q (4, N), body-frame angular momenta m (3, N).
+All arrays are component-first, for many copies of a problem: orientations q (4, N), body-frame angular momenta m (3,
+N).
 """
 
 from __future__ import annotations

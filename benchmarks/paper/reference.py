@@ -1,6 +1,6 @@
-"""Free bodies by their Taylor series in double-double: a reference with 30 digits, independent of elliptic functions.
+"""Free rigid bodies by Taylor series in double-double arithmetic: a 30-digit reference without elliptic functions.
 
-A number is an unevaluated sum of two doubles. Bodies are the lanes of the innermost loops, so that they advance
+A number is an unevaluated sum of two doubles. The innermost loops run over bodies, so that bodies are processed
 together in vector registers.
 """
 

@@ -1,6 +1,6 @@
 """All figures and tables of the paper, and pages that compare the paper's claims with our numbers.
 
-docs/paper.md has all verdicts; docs/paper has a page for each table or figure.
+docs/paper.md contains all verdicts, and docs/paper has a page for each table or figure.
 """
 
 import argparse
@@ -25,7 +25,7 @@ are printed with every claim:
 
 - a claim **agrees** if all criteria are met, either in every draw of random starts or, to within two standard errors,
   by the mean over the draws;
-- it **agrees in part** if some criteria are met, or if they are met in some of the draws;
+- it **agrees in part** if some criteria are met, or if criteria are met in some of the draws;
 - it is **exceeded** if no criterion is met because our errors are smaller;
 - it **does not agree** if no criterion is met in any draw;
 - it **cannot be decided** if the paper does not state the required information, or if our numbers do not allow a
@@ -63,8 +63,8 @@ WHEN = """\
 ## Consequences for the choice of a scheme
 
 - If the potential is small compared with the kinetic energy and varies slowly within a step (a perturbed free body, a
-  satellite), use `SABA_4`, or `ABA_10_6_4` at tight tolerances. If output is rare, `V2_C17` is better, whose corrector
-  costs 32 evaluations per output. If a force gradient is also available, use `V2_gradient_C17`.
+  satellite), use `SABA_4`, or `ABA_10_6_4` at tight tolerances. If output is rare, use `V2_C17` instead, whose
+  corrector costs 32 force evaluations per output. If a force gradient is also available, use `V2_gradient_C17`.
 - If the potential is as large as the kinetic energy (tops with T0 = ε, dipoles, liquids), these schemes have no
   advantage over schemes for any potential. The page [Which integrator, scheme and step](which.md) gives
   recommendations for molecules.

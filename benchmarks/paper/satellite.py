@@ -1,7 +1,7 @@
 """Figures 14 and 15: a satellite on a circular orbit, by the exact flow and by McLachlan-Reich.
 
 The paper reports 7 and 10 conserved digits of the energy at steps of 0.1 and 0.05. We added schemes for a small
-potential at the same numbers of torque evaluations.
+potential, at the same numbers of torque evaluations per unit of time.
 """
 
 import sys

@@ -1,9 +1,9 @@
 """Figures 12 and 13: energy error of the heavy top as a perturbed free body, for five kinetic energies.
 
 The figures show the gain of an exact free flow if the potential is a perturbation. We added schemes for a small
-potential, which require an exact flow. The paper gives the mean over 20 tops of the relative error. Our error is the
-largest along the run, at a hundred equidistant times (ten for a processed scheme). The verdicts are based on five draws
-of 20 tops, at the basic steps 8, 5 and 4. The pictures and the table show the first draw.
+potential, which require an exact flow. The paper reports the mean over 20 tops of the relative energy error. For each
+top, we use the largest relative energy error at a hundred equidistant times (ten for a processed scheme). The verdicts
+are based on five draws of 20 tops, at the basic steps 8, 5 and 4. The pictures and the table show the first draw.
 """
 
 import sys

@@ -1,11 +1,11 @@
 """Figures 3 to 11: the triangle of inertias, and significant digits of the orientation over it, for steps of 0.4 and 0.04.
 
-The figures show which bodies each method rotates accurately. The methods are the exact methods, their approximations by
-Gauss's rule of order 6, 8 and 10, and the preprocessed discrete Moser-Veselov methods of the same orders. The reference
-is a Taylor series in double-double precision, whereas the paper used Matlab's ode45. The corner at the top left, where
-I1 is much smaller than I2 and I3, contains thin rods (the paper calls them discs). Each point is the mean over 20
-momenta, and white lines are at 2, 4, ... 12 digits of the orientation at t = 10. The pictures are smoothed over
-neighbouring points, but the numbers are not.
+The figures show for which moments of inertia each method rotates a body accurately. The methods are the exact methods,
+their approximations by Gauss's rule of order 6, 8 and 10, and the preprocessed discrete Moser-Veselov methods of the
+same orders. The reference is a Taylor series in double-double precision, whereas the paper used Matlab's ode45. The
+corner at the top left, where I1 is much smaller than I2 and I3, contains thin rods (the paper calls them discs). Each
+point is the mean over 20 momenta. White lines mark 2, 4, ... 12 correct digits of the orientation at t = 10. The
+pictures are smoothed over neighbouring points, but the numbers are not.
 """
 
 import sys

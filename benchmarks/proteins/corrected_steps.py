@@ -1,9 +1,9 @@
-"""The averages of a peptide in water at long steps, corrected for the step size, beside those of a small step.
+"""Averages of a peptide in water at long steps, corrected for the step size and compared with those of a small step.
 
-The averages are those of docs/protein_steps.csv, over many runs. A correction is known from a short run of the same
-point, whose frames have what it needs: these runs are made here, with a start, integrator and barostat as in
-protein_steps.py, and their corrections are a record of their own. Frames are kept in out/benchmarks/corrected_steps,
-and an interrupted command continues from them.
+The averages are those of docs/protein_steps.csv over many runs. A correction is computed from the frames of a short run
+at the same settings. This script makes these runs, with the start, integrator and barostat of protein_steps.py, and
+stores the corrections in a separate record. Frames are stored in out/benchmarks/corrected_steps, from which an
+interrupted command continues.
 
     python benchmarks/proteins/corrected_steps.py
     python benchmarks/proteins/corrected_steps.py --table

@@ -1,13 +1,13 @@
-"""The energy error and the stability of the default integrator beside VerletIntegrator, through a stock Simulation.
+"""Energy error and stability of the default integrator and of VerletIntegrator, run through an ordinary Simulation.
 
-Both take the same step, that is one evaluation of the forces. What counts is the total energy that a
-StateDataReporter writes, every 100 steps for water and every 10 for solutes: its standard deviation over a run.
+Both integrators have the same step, and evaluate forces once per step. The energy error is the standard deviation over
+a run of the total energy that a StateDataReporter writes, every 100 steps for water and every 10 steps for solutes.
 
-`water` is a box of TIP3P with smooth forces (a switch, an Ewald tolerance of 1e-5), from canonical starts. `peptide`,
-alanine dipeptide in water, and `protein`, --pdb or a helix of 35 alanines in water, have the forces that createSystem
-makes by default and bonds to hydrogen constrained; they start from the file as it is, or minimised and equilibrated.
-All on the CPU platform with one thread. Results go to docs/default_energies.csv; each run is a job of an ensemble, so
-that the command continues where it stopped.
+`water` is a box of TIP3P with smooth forces (a switch, an Ewald tolerance of 1e-5), from canonical starts. `peptide` is
+alanine dipeptide in water, and `protein` is the protein of --pdb or a helix of 35 alanines in water. Both have the
+default forces of createSystem and constrained bonds to hydrogen, and start either directly from the file or after
+minimisation and equilibration. All runs use the CPU platform with one thread. Results are written to
+docs/default_energies.csv. Each run is a job of an ensemble, so that an interrupted command can be resumed.
 
     python benchmarks/proteins/default_energies.py water
     python benchmarks/proteins/default_energies.py peptide protein --pdb input.pdb --steps 1 2 3 4 --starts 2

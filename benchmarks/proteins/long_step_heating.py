@@ -1,9 +1,9 @@
-"""How fast long steps heat a protein in water: the energy that Langevin integrators without friction gain.
+"""The rate at which long steps heat a protein in water: the energy gain of Langevin integrators without friction.
 
-Modes of the solute that are in resonance with the kicks of the nonbonded forces gain energy, and a thermostat takes it
-away: with a friction g, a solute of n degrees of freedom is P/(n k g) hotter than the thermostat, where P is the power.
-All hydrogens have 3 amu, and bonded forces have inner steps. Printed for each start is the slope of the total energy
-over 3 ps, which is added to docs/long_step_heating.csv unless the record has it.
+Modes of the solute that are in resonance with the kicks of the nonbonded forces gain energy, which a thermostat
+removes. With a friction g, a solute of n degrees of freedom is hotter than the thermostat by P/(n k g), where P is the
+power. All hydrogens have 3 amu, and bonded forces have inner steps. For each start, the script prints the slope of the
+total energy over 3 ps, and adds the slope to docs/long_step_heating.csv unless the record contains the run.
 
     python benchmarks/proteins/long_step_heating.py --pdb villin.pdb
 """

@@ -1,18 +1,19 @@
-"""A peptide in rigid water: energy error against cost for OpenMM's own integrators and ours, plain and nested.
+"""A peptide in rigid water: energy error against cost for OpenMM's integrators and ours, without and with nesting.
 
-Alanine dipeptide (amber14) in a droplet of 32 TIP3P molecules without cutoff, on Reference, with bonds to hydrogen
-constrained or, with --constraints None, with none but those of water. Standard deviation of the total energy within
-windows of 0.5 ps and within whole runs, against evaluations of the nonbonded forces per ps, all from the same starts,
-which are made here with fixed seeds. Nested schemes and OpenMM's MTSIntegrator have the bonded forces in steps of their
-own, "with 1-4" the pairs three bonds apart too; of these, the evaluations per ps are counted beside. Processed schemes
-evaluate forces for output too, `Scheme.output_forces` of them, which are not counted: here that is every 20 fs.
-Names that end with ", exact inverse" have that of the processor instead of the scheme's output.
+Alanine dipeptide (amber14) in a droplet of 32 TIP3P molecules without a cutoff runs on the Reference platform. Bonds to
+hydrogen are constrained or, with --constraints None, only those of water. The script measures the standard deviation of
+the total energy within windows of 0.5 ps and within whole runs, against evaluations of the nonbonded forces per ps,
+from the same starts with fixed seeds. Nested schemes and OpenMM's MTSIntegrator evaluate the bonded forces in inner
+steps; "with 1-4" includes the pairs three bonds apart. Evaluations of these forces per ps are counted separately. The
+output of a processed scheme, here every 20 fs, needs `Scheme.output_forces` further evaluations, which are not counted.
+Names ending with ", exact inverse" use the inverse of the processor instead of the scheme's output.
 
-A survey with short runs goes first; the best of each family at each rate are then run for long, from other starts than
-those of the survey with --leave. --methods runs what it names instead of a survey and its best: "Verlet", "W2_4",
-"W2_4 nested", "W2_4 nested with 1-4", and "W2_4 nested: S2_2 x 8" with an inner scheme and its steps a step. Rows go to
-out/benchmarks/peptide_*.csv, with processor time (one thread) per ps; what stands there is not run again, so that the
-same command goes on after a break. Pictures lie beside. --quick runs a short version.
+A survey with short runs is followed by long runs of the best methods of each family at each rate. With --leave, the
+long runs begin at other starts than those of the survey. --methods runs the given methods instead: "Verlet", "W2_4",
+"W2_4 nested", "W2_4 nested with 1-4", or "W2_4 nested: S2_2 x 8", which gives an inner scheme and its number of inner
+steps per step. Rows, which include the processor time (one thread) per ps, and pictures are written to
+out/benchmarks/peptide_*. Rows that exist are not measured again, so that the same command resumes an interrupted run.
+--quick runs a short version.
 """
 
 from __future__ import annotations

@@ -1,13 +1,14 @@
-"""How the dihedral populations of a peptide depend on the step: alanine dipeptide in implicit solvent.
+"""Dependence of the dihedral populations of a peptide on the step: alanine dipeptide in implicit solvent.
 
-amber14 with OBC2, bonds to hydrogen held, hydrogens of 3 amu. An umbrella, a torsion of its own about psi, lowers the
-barrier between the helical and the extended conformations; every sample has the weight that undoes it, so that
-populations are those of the model. Temperatures and energies by kind are those under the umbrella.
+The force field is amber14 with OBC2, bonds to hydrogen are constrained, and hydrogens have 3 amu. An umbrella
+potential, a torsion about psi, lowers the barrier between the helical and the extended conformations. Samples are
+reweighted, so that the populations are those of the model without the umbrella potential. Temperatures and the energies
+of each type are those with the umbrella potential.
 
-OpenMM's integrators move one peptide on the Reference platform. Those of this package move several copies in a System
-on the CPU platform, 12 nm apart, that a cutoff of 2 nm keeps from each other: Python costs as much for all as for one.
-Errors are from a jackknife over blocks in time of each peptide. Runs that docs/peptide_populations.csv has are not run
-again.
+OpenMM's integrators simulate one peptide on the Reference platform. Integrators of this package simulate several copies
+in one System on the CPU platform, for which Python takes as long as for one copy. The copies are 12 nm apart and do not
+interact, because the cutoff is 2 nm. Errors are from a jackknife over blocks in time of each peptide. Runs that
+docs/peptide_populations.csv contains are not repeated.
 
     python benchmarks/proteins/peptide_populations.py --integrators LangevinMiddle --fs 1 2 4 --runs 2
     python benchmarks/proteins/peptide_populations.py --integrators W2_3m BAOA --fs 4 6 8 --runs 2

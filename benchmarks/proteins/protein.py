@@ -1,13 +1,13 @@
-"""A protein in water: energy error and time over those of OpenMM's Verlet, at equal evaluations of the forces.
+"""A protein in water: energy error and time relative to OpenMM's Verlet, at equal numbers of force evaluations.
 
-PME on the CPU platform, bonds to hydrogen constrained, amber14 with TIP3P: standard deviation of the total energy
-within windows of 0.5 ps, and processor time (one thread), both over those of OpenMM's VerletIntegrator, which gets the
-same number of evaluations of the nonbonded forces per ps. Without --pdb it is a helix of 35 alanines, built and
-solvated here; any solvated PDB file with standard residues and water will do in its place, such as the villin headpiece
-that OpenMM's Python examples come with (input.pdb).
+The system has PME on the CPU platform, constrained bonds to hydrogen, and amber14 with TIP3P. The script measures the
+standard deviation of the total energy within windows of 0.5 ps, and the processor time (one thread). Both are relative
+to OpenMM's VerletIntegrator with the same number of evaluations of the nonbonded forces per ps. Without --pdb, the
+protein is a helix of 35 alanines, built and solvated here. --pdb accepts any solvated PDB file with standard residues
+and water, such as the villin headpiece of OpenMM's Python examples (input.pdb).
 
-Starts and rows go to out/benchmarks/protein_*; what stands there is not run again, so that the same command goes on
-after a break. --quick runs a short version.
+Starts and rows are written to out/benchmarks/protein_*. Existing rows are not measured again, so that the same command
+resumes an interrupted run. --quick runs a short version.
 """
 
 from __future__ import annotations

@@ -1,13 +1,16 @@
-"""How rarely a protein in water may ask for forces: temperatures by group, energies by kind, density, torsions.
+"""A protein in water at long steps: temperatures of groups, energies by type, density and torsions.
 
-Alanine dipeptide (amber14) in 212 molecules of TIP3P, or a solvated PDB file with --pdb: PME with a switch, bonds to
-hydrogen held, on the CPU platform with one thread, or on a device by its engine. Masses are plain, or hydrogens of the
-solute, or all of them, have 3 amu. One estimator judges all integrators, by constrained velocities: linear and angular
-momenta of each molecule of water; the solute as a whole; of its groups X-H, X-H2 and X-H3, which constraints hold, the
-centres and what turns about them. "Reported" are the temperatures of the velocities as a State has them.
+The system is alanine dipeptide (amber14) in 212 TIP3P molecules, or a solvated PDB file with --pdb, with PME and a
+switch and constrained bonds to hydrogen. Runs use the CPU platform with one thread, or the device engine. Masses are
+unchanged, or hydrogens of the solute, or all hydrogens, have 3 amu. The same temperature estimator is used for all
+integrators, and is computed from velocities projected onto the constraints. It gives separate temperatures for the
+linear and angular momenta of water molecules, for the solute as a whole, and for the centres and the internal rotation
+of its groups X-H, X-H2 and X-H3, which constraints define. "Reported" temperatures are those of the velocities of a
+State.
 
-Every point has runs with seeds of their own, whose scatter gives its errors. Runs that docs/protein_steps.csv has are
-not run again, so that the command continues where it stopped and the record grows; a run that diverged has nan.
+Every point has several runs with different seeds, whose scatter determines the errors. Runs that docs/protein_steps.csv
+contains are not repeated, so that an interrupted command can be resumed and the record extended. A run that diverged is
+recorded as nan.
 
     python benchmarks/proteins/protein_steps.py --integrators LangevinMiddle --fs 1 2 4 --masses solute --runs 10
     python benchmarks/proteins/protein_steps.py --integrators W2_3m --fs 8 --masses all --runs 10

@@ -1,16 +1,16 @@
-"""Rigid domains of a protein: radius of gyration, energy error beside OpenMM's recipe, and what exclusions save.
+"""Rigid domains of a protein: radius of gyration, energy error compared with OpenMM's recipe, and gain by exclusions.
 
-The model is that of examples/rigid_domains.py: hnRNPA1* in CALVADOS 2, one chain without a periodic box. OpenMM's
-recipe createRigidBodies (its cookbook) gives the mass of a body to four of its particles, with constraints between
-them, and makes the others virtual sites; `concentrated` is that recipe. Its VerletIntegrator has a constraint tolerance
-of 1e-8.
+The model is that of examples/rigid_domains.py: hnRNPA1* in CALVADOS 2, one chain without a periodic box. The recipe
+createRigidBodies of OpenMM's cookbook assigns the mass of a body to four of its particles, with constraints between
+them, and turns the other particles into virtual sites. The name `concentrated` refers to this recipe. VerletIntegrator,
+which it uses, has a constraint tolerance of 1e-8.
 
     python benchmarks/proteins/rigid_domains.py gyration --ns 100  # docs/rigid_domains_gyration.csv, continued
     python benchmarks/proteins/rigid_domains.py energies           # docs/rigid_domains.csv
     python benchmarks/proteins/rigid_domains.py cost               # docs/rigid_domains_cost.csv
     python benchmarks/proteins/rigid_domains.py rotation           # of a lone molecule as a whole: printed
 
-Times are of one thread of the CPU platform, as medians of rounds in which the contenders take turns, in processor time.
+Times are processor times on the CPU platform with one thread, as medians of rounds in which the candidates alternate.
 """
 
 from __future__ import annotations

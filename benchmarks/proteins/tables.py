@@ -1,4 +1,4 @@
-"""Tables of solutes: peptide.py."""
+"""Tables of peptide.py."""
 
 from __future__ import annotations
 

@@ -1,11 +1,12 @@
-"""What each scheme does to the total angular momentum of a droplet, which nothing outside acts on.
+"""The error of each scheme in the total angular momentum of a droplet on which no external forces act.
 
-Drifts and kicks keep it to roundoff, also kicks by forces at displaced places, whose torques are taken about the places
-themselves. The output of a processed scheme uses forces of other places and shows a deviation, which does not grow.
+Drifts and kicks conserve the angular momentum to roundoff. This includes kicks by forces at displaced positions, whose
+torques are computed at the original positions. The output of a processed scheme uses forces at other positions and has
+an error in the angular momentum, which does not accumulate.
 
-16 TIP3P molecules on Reference; the largest change of the total angular momentum over its size, and over three starts
-the largest, at the times that `--interval` and `--picoseconds` tell. The table goes to docs/angular_momentum.csv, where
-lines of other schemes stay.
+The droplet consists of 16 TIP3P molecules on the Reference platform. The script records the largest relative change of
+the total angular momentum in three runs from different starts, with the times given by `--interval` and
+`--picoseconds`. The table is written to docs/angular_momentum.csv, where rows of other schemes are preserved.
 
     python benchmarks/schemes/angular_momentum.py
     python benchmarks/schemes/angular_momentum.py --schemes W2_5 W2_4g

@@ -1,7 +1,8 @@
-"""What the exact rotor brings and what the splitting: schemes with either rotor on water at several rates of forces.
+"""The separate effects of the exact rotor and of the splitting: schemes with two rotors on water at several steps.
 
-One start of a droplet of 27 TIP3P molecules for each seed, runs of 10 ps. Through `openmm_exactrb.ensemble`: a call
-continues where the last one stopped. Errors of each start go to docs/exactness.csv.
+Each seed defines one start of a droplet of 27 TIP3P molecules, from which runs last 10 ps. Runs are jobs of
+`openmm_exactrb.ensemble`, so that an interrupted command can be resumed. Errors of each start are written to
+docs/exactness.csv.
 """
 
 from __future__ import annotations

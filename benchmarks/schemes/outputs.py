@@ -1,14 +1,16 @@
-"""What processed schemes cost through `Simulation.step`, and what their cheap output is worth.
+"""The cost of processed schemes through `Simulation.step`, and the error of their cheap output.
 
-A run stays in inner coordinates; what is shown is a copy behind the output of the scheme, a post-processor that is far
-cheaper than the exact inverse of the processor. Its error does not accumulate. Here both are read from one and the same
-inner trajectory: droplets of TIP3P with a CMMotionRemover, in calls of ten steps as `Simulation.step` makes them.
+A run stays in inner coordinates. The state shown to users is a copy transformed by the scheme's output, which is far
+cheaper than the exact inverse of the processor, and whose error does not accumulate. Here, both transformations are
+applied to the same inner trajectory, for droplets of TIP3P with a CMMotionRemover, in calls of ten steps as in
+`Simulation.step`.
 
-An output that is judged by energy alone may cheat: it can cancel the energy error of second order without being a
-change of coordinates. So the mean kinetic energies are compared too, in standard deviations of the exact inverse's
-energy.
+A small energy error alone does not show that an output is accurate: an output can cancel the second-order error of the
+energy without being a change of coordinates. The mean kinetic energies are therefore compared too, in units of the
+standard deviation of the energy with the exact inverse.
 
-Each run is a job of an ensemble, so that the command continues where it stopped; the table goes to docs/outputs.csv.
+Each run is a job of an ensemble, so that an interrupted command can be resumed. The table is written to
+docs/outputs.csv.
 
     python benchmarks/schemes/outputs.py --starts 6 --picoseconds 30
 """

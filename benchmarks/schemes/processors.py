@@ -1,17 +1,19 @@
-"""Processors: changes of coordinates in which a cheap step has a far smaller energy error than it seems to have.
+"""Processors: changes of coordinates that greatly reduce the energy error of a scheme with few force evaluations.
 
-A kernel K and a processor P make the method P K P^-1: n steps are P K^n P^-1, so that P costs once a run or an output.
-It removes of the kernel's error all that a change of coordinates can remove. What is left decides between kernels:
+A kernel K and a processor P form the method P K P^-1. Since n steps are P K^n P^-1, P is applied only once per run or
+output. The processor removes all of the kernel's error that a change of coordinates can remove. The remaining error
+determines which kernel is better:
 
-- of Verlet, a third: for an oscillator the swing of the energy goes, x²/8 with x = w h. What is left is the error x²/24
-  of the frequency, which is felt as oscillators hand energy on to each other;
-- of Takahashi and Imada's step, which has one force-gradient kick, all of the order h²: the method is of order 4.
+- A third of the error of Verlet remains. For an oscillator, the processor removes the oscillation x²/8 of the energy,
+  with x = w h. The error x²/24 of the frequency remains, and affects the energy when oscillators exchange energy.
+- No error of the order h² remains for the step of Takahashi and Imada, which has one force-gradient kick. The method is
+  of order 4.
 
-That a processor makes Takahashi and Imada's step one of order 4 is G. Rowlands', J. Comput. Phys. 97, 235 (1991); see
-M. A. López-Marcos, J. M. Sanz-Serna and R. D. Skeel, SIAM J. Sci. Comput. 18, 223 (1997),
-doi:10.1137/S1064827595288085.
-Here P is a row of drifts and kicks whose sums are zero. Its coefficients solve the order conditions in the free Lie
-algebra of both, and make the swing of oscillators small up to x = `--reach`.
+G. Rowlands, J. Comput. Phys. 97, 235 (1991), found that a processor makes the step of Takahashi and Imada a method of
+order 4; see M. A. López-Marcos, J. M. Sanz-Serna and R. D. Skeel, SIAM J. Sci. Comput. 18, 223 (1997),
+doi:10.1137/S1064827595288085. Here P is a sequence of drifts and kicks whose sums are zero. Its coefficients satisfy
+the order conditions in the free Lie algebra of drifts and kicks, and minimise the energy oscillation of oscillators up
+to x = `--reach`.
 
     python benchmarks/schemes/processors.py TI2 --kicks 5 --minutes 2
     python benchmarks/schemes/processors.py V2_drift --kicks 4 --minutes 1

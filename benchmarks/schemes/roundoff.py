@@ -1,12 +1,12 @@
-"""How roundoff grows where the error of the scheme is below it: Brouwer's law.
+"""The growth of roundoff errors where they exceed the error of the scheme: Brouwer's law.
 
-1. Heavy tops, up to 1e6 steps; as sums high + low, and with every drift and kick rounded to float64.
-2. An isolated droplet of 27 soft dipoles in OpenMM on Reference, 1e5 steps, the same two, and OpenMM's own
-   VerletIntegrator with SETTLE from the same starts, with as many forces per unit of time.
+1. Heavy tops, up to 1e6 steps: with compensated sums (high + low), and with every drift and kick rounded to float64.
+2. An isolated droplet of 27 soft dipoles in OpenMM on the Reference platform, 1e5 steps: the same two variants, and
+   OpenMM's VerletIntegrator with SETTLE from the same starts, with as many force evaluations per unit of time.
 
-Each start is kept in out/benchmarks/roundoff/ when it is done, so that a run that was stopped goes on. Root mean
-squares over the starts go to docs/roundoff.csv and docs/roundoff.png. --quick makes a hundredth of the steps, in a
-folder of its own.
+The results of each start are stored in out/benchmarks/roundoff/, from which an interrupted run continues. Root mean
+squares over the starts are written to docs/roundoff.csv and docs/roundoff.png. --quick runs a hundredth of the steps
+and uses a separate folder.
 """
 
 from __future__ import annotations

@@ -1,17 +1,18 @@
-"""Search for splittings of rigid water at large steps, judged on long runs.
+"""Search for splittings of rigid water at large steps, tested in long runs.
 
-A family is a word such as BACAB, whose letters are drifts (A), kicks (B) and force-gradient kicks (C). Its palindromes
-leave some coefficients free. Three stages, each through `openmm_exactrb.ensemble`, so that a call goes on where the
-last one stopped:
+A family is a palindromic word such as BACAB, whose letters are drifts (A), kicks (B) and force-gradient kicks (C), and
+which leaves some coefficients free. The search has three stages. Each consists of jobs of `openmm_exactrb.ensemble`, so
+that an interrupted command can be resumed:
 
-1. `linear`, in no time: a step makes of an oscillator of frequency w one with the Hamiltonian (alpha p² + beta q²) w/2.
-   What alpha and beta differ by over the frequencies of water is the energy error of small vibrations: their ratio
-   swings within a period, their product is slow, and wanders as oscillators exchange energy. The best points of a
-   family are where the next stage begins.
-2. `screened` and `improve`: those points, and Nelder and Mead from the best of them, on the standard deviation of the
-   energy of droplets of four water models in windows of 10 ps, in units of Verlet's, over training starts.
-3. `judge`: 30 ps from starts that nothing else has seen, of other sizes; the errors of schemes of the catalogue go to
-   docs/droplet_models.csv.
+1. `linear` needs no simulation. A step transforms an oscillator of frequency w into one with the Hamiltonian (alpha p²
+   + beta q²) w/2. The variation of alpha and beta over the frequencies of water gives the energy error of small
+   vibrations. Their ratio causes oscillations within a period, and their product causes slow fluctuations as
+   oscillators exchange energy. The next stage begins at the best points of a family.
+2. `screened` and `improve` minimise the standard deviation of the energy of droplets of four water models in windows of
+   10 ps, relative to that of Verlet, over training starts. They evaluate the points of the first stage and run
+   Nelder-Mead minimisations from the best of them.
+3. `judge` runs 30 ps from starts that no other stage uses, with droplets of other sizes. Errors of the schemes of the
+   catalogue are written to docs/droplet_models.csv.
 
     python benchmarks/schemes/search.py --rates 500 1000 --families BACAB BABABAB --best 2 --budget 120
     python benchmarks/schemes/search.py --judge W2_4 W2_5 --rates 500 --models tip3p --molecules 64 --starts 3

@@ -1,4 +1,4 @@
-"""Tables of splittings: roundoff.py, search.py, exactness.py, the paper's tops, and schemes with a heat exchange."""
+"""Tables of roundoff.py, search.py and exactness.py, of the tops of the paper, and of schemes with a heat exchange."""
 
 from __future__ import annotations
 

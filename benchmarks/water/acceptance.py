@@ -1,8 +1,8 @@
-"""How many proposals of hybrid Monte Carlo are accepted: rigid water in a PME box, over schemes and steps.
+"""The acceptance rate of hybrid Monte Carlo for rigid water in a PME box, for several schemes and steps.
 
-A box of TIP3P at 300 K on the CPU platform, with proposals of one step of the scheme and a friction of 5/ps. The
-record, docs/acceptance.csv, has the fraction of accepted proposals with its error, and the force evaluations per
-proposal. --quick prints these for 216 molecules and few proposals.
+A box of TIP3P at 300 K runs on the CPU platform, with proposals of one step of the scheme and a friction of 5/ps. The
+record, docs/acceptance.csv, contains the fraction of accepted proposals with its error, and the force evaluations per
+proposal. --quick prints these numbers for 216 molecules and few proposals.
 """
 
 from __future__ import annotations

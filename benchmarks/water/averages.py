@@ -1,11 +1,11 @@
-"""Averages at long steps, as they are and corrected, beside those of small steps.
+"""Averages of water at long steps, without and with the correction for the step size, compared with small steps.
 
-Boxes of 216 molecules with PME and a switch at 298.15 K, friction 5/ps, on the CPU platform with one thread, or larger
-ones on a GPU. At constant volume, the averages are the potential energy and the pressure, and at 1 bar the density, the
-enthalpy and their response coefficients, as they are and corrected by `openmm_exactrb.corrected`. With `--offset`, the
-pressure of the barostat is 1 bar plus the offset that the runs at constant volume of the same point predict. Frames are
-kept in out/benchmarks/averages, and an interrupted command continues from them. Each seed is a run and a row of the
-record.
+Boxes of 216 molecules with PME and a switch at 298.15 K, friction 5/ps, run on the CPU platform with one thread, or
+larger ones on a GPU. At constant volume, the averages are the potential energy and the pressure; at 1 bar, they are the
+density, the enthalpy and their response coefficients. Corrections are those of `openmm_exactrb.corrected`. With
+`--offset`, the pressure of the barostat is 1 bar plus the offset that the runs at constant volume of the same point
+predict. Frames are stored in out/benchmarks/averages, from which an interrupted command continues. Each seed is a run
+and a row of the record.
 
     python benchmarks/water/averages.py --fs 2 4 8 --seeds 1 2
     python benchmarks/water/averages.py --fs 8 --ensemble NPT --offset
@@ -17,8 +17,8 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import math
 from collections.abc import Iterator
-from dataclasses import astuple
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -46,9 +46,9 @@ UNITS = {
 }
 SCALES = {"compressibility": 1e6, "thermal expansion": 1e4}
 OF_BOX = "potential energy", "enthalpy"
-NAMES, PARTS = tuple(UNITS), ("", " corrected", " error", " correction error")
-OFFSET, OFFSET_ERROR = "pressure offset", "pressure offset error"
-COLUMNS = [*(f"{name}{part}" for name in NAMES for part in PARTS), OFFSET, OFFSET_ERROR]
+NAMES, PARTS = tuple(UNITS), ("", " corrected", " error", " correction error", " systematic error")
+OFFSET = "pressure offset", "pressure offset error", "pressure offset systematic error"
+COLUMNS = [*(f"{name}{part}" for name in NAMES for part in PARTS), *OFFSET]
 RECORD = Record(DOCS / "averages.csv", KEY, COLUMNS)
 
 
@@ -95,16 +95,20 @@ def row_of(run: dict[str, Any], file: Path) -> dict[str, Any]:
     row = dict(run)
     for name in NAMES:
         if (name in ("potential energy", "pressure")) != (run["ensemble"] == "NVT"):
-            values: tuple[float, ...] = (np.nan,) * 4
+            values: tuple[float, ...] = (np.nan,) * len(PARTS)
         else:
             found = rb.corrected(file, name, pressure=1.0 if run["ensemble"] == "NPT" else None)
             values = found.mean - found.correction, found.mean, found.error, found.correction_error
+            values = *values, found.systematic_error
             scale = 1.0 / run["molecules"] if name in OF_BOX else SCALES.get(name, 1.0)
             values = tuple(scale * value for value in values)
         columns = (f"{name}{part}" for part in PARTS)
         row |= dict(zip(columns, (f"{value:.6g}" for value in values), strict=True))
-    bar, error = (np.nan, np.nan) if run["ensemble"] == "NPT" else astuple(rb.pressure_offset(file))[:2]
-    return row | {OFFSET: f"{bar:.6g}", OFFSET_ERROR: f"{error:.6g}"}
+    values = (np.nan,) * len(OFFSET)
+    if run["ensemble"] == "NVT":
+        of_barostat = rb.pressure_offset(file)
+        values = of_barostat.bar, of_barostat.error, np.ptp(of_barostat.bracket) / math.sqrt(12.0)
+    return row | dict(zip(OFFSET, (f"{value:.6g}" for value in values), strict=True))
 
 
 def runs(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
@@ -118,12 +122,12 @@ def runs(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
 
 
 def offset(run: dict[str, Any]) -> float:
-    """Return the mean offset (bar), weighted by the errors, of the runs at constant volume of a point."""
+    """Return the mean offset (bar), weighted by the lengths, of the runs at constant volume of a point."""
     same = [row for row in RECORD.rows().values() if row["ensemble"] == "NVT" and _is_of(row, run)]
     if not same:
         raise SystemExit(f"run {run} with --ensemble NVT first, of which the offset follows")
-    offsets, errors = np.array([[float(row[name]) for name in (OFFSET, OFFSET_ERROR)] for row in same]).T
-    return float(np.average(offsets, weights=errors**-2.0))
+    offsets, lengths = np.array([[float(row[name]) for name in (OFFSET[0], "ps")] for row in same]).T
+    return float(np.average(offsets, weights=lengths))
 
 
 def _is_of(row: Row, run: dict[str, Any]) -> bool:

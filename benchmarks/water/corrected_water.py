@@ -1,10 +1,10 @@
-"""Whether averages of liquid water at steps of 0.5 to 6 fs agree, as they are and corrected for the step size.
+"""Averages of liquid water at steps of 0.5 to 6 fs, without and with the correction for the step size.
 
-The averages are those of docs/equipartition.csv, 1 ns a point with a friction of 5/ps. To second order, a correction
-consists of equilibrium averages that are the same for all schemes and steps, and of coefficients of the scheme. A run
-with LangevinMiddleIntegrator at 4 fs has these averages; its frames are read here as if they were of each other scheme
-and step, and docs/corrected_water.csv has the corrections. Frames are kept in out/benchmarks/averages, and an
-interrupted command continues from them.
+The averages are those of docs/equipartition.csv, over 1 ns per point with a friction of 5/ps. To second order, a
+correction consists of equilibrium averages, which are the same for all schemes and steps, and of coefficients of the
+scheme. The equilibrium averages are computed from the frames of a run with LangevinMiddleIntegrator at 4 fs, and used
+for all schemes and steps; docs/corrected_water.csv contains the corrections. Frames are stored in
+out/benchmarks/averages, from which an interrupted command continues.
 
     python benchmarks/water/corrected_water.py --models spce tip4p2005 --ps 300 --seeds 1
     python benchmarks/water/corrected_water.py --table

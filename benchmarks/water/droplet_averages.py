@@ -1,9 +1,10 @@
-"""Averages of small droplets at long steps, corrected, beside averages that have no step-size error.
+"""Corrected averages of small droplets at long steps, compared with averages that have no step-size error.
 
-Droplets of 8 TIP3P, 32 of them far apart, each in a harmonic well, at 298.15 K and 5/ps: a force evaluation costs so
-little that the error of the step is many times the statistical one, which a liquid does not allow on a processor. The
-exact averages are those of generalised hybrid Monte Carlo. Cutoffs are longer than a droplet, so that no pair crosses
-them. Frames are kept in out/benchmarks/droplet_averages, and an interrupted command continues from them.
+The system contains 32 distant droplets of 8 TIP3P molecules, each in a harmonic well, at 298.15 K and 5/ps. Force
+evaluations are so cheap that the step-size error is many times the statistical error, which is not feasible for a
+liquid on a CPU. The exact averages are those of generalised hybrid Monte Carlo. Cutoffs are longer than the diameter of
+a droplet, so that no pair crosses them. Frames are stored in out/benchmarks/droplet_averages, from which an interrupted
+command continues.
 
     python benchmarks/water/droplet_averages.py --ns 5 --seeds 1 2
     python benchmarks/water/droplet_averages.py --table
@@ -23,7 +24,7 @@ from openmm import app
 import openmm_exactrb as rb
 from benchmarks.common.markdown import table, with_error
 from benchmarks.common.records import DOCS, OUT, Record, Row
-from benchmarks.common.reported import reported
+from benchmarks.common.reported import error_over_runs, reported
 from benchmarks.common.starts import REPEATED
 from openmm_exactrb.averages.record import read
 
@@ -41,7 +42,7 @@ POINTS = [
     ("Langevin", "W2_3m", 5.0, 3.0),
 ]
 KEY = ("integrator", "scheme", "fs", "hydrogen", "ns", "seed")
-COLUMNS = ("energy", "energy error", "corrected", "corrected error", "correction error", "strong friction")
+COLUMNS = ("energy", "energy error", "corrected", "corrected error", "correction error", "systematic error")
 RECORD = Record(DOCS / "droplet_averages.csv", KEY, COLUMNS)
 
 
@@ -121,7 +122,7 @@ def row_of(run: dict[str, Any]) -> dict[str, Any]:
     if run["integrator"] != "hybrid":
         found = rb.corrected(file, "potential energy")
         energies = read(file)[1]["potential"]
-        after = found.mean, found.error, found.correction_error, found.bracket[1]
+        after = found.mean, found.error, found.correction_error, found.systematic_error
     else:
         energies, after = np.loadtxt(file), (np.nan,) * 4
     error = np.std([part.mean() for part in np.array_split(energies, 20)], ddof=1) / math.sqrt(20.0)
@@ -139,12 +140,13 @@ def droplet_averages() -> str:
         values = np.array([[float(row[name]) for name in COLUMNS] for row in rows])
         lengths = np.array([float(row["ns"]) for row in rows])
         weights = lengths / lengths.sum()
-        energy, _, after, _, _, _ = weights @ values
-        error, of_after, of_correction = np.sqrt(weights**2 @ values[:, [1, 3, 4]] ** 2)
+        energy, _, after, *_ = weights @ values
+        error = math.sqrt(weights**2 @ values[:, 1] ** 2)
+        of_after, of_correction = (error_over_runs(weights, values[:, k], values[:, -1]) for k in (3, 4))
         cells = ["", ""]
         if math.isfinite(after):
             cells = [with_error(after, of_after, 4), with_error(after - energy, of_correction, 4)]
-        name = "hybrid Monte Carlo" if integrator == "hybrid" else f"`{scheme}`" if scheme else integrator
+        name = "hybrid Monte Carlo" if integrator == "hybrid" else f"`{scheme or integrator}`"
         plain = with_error(energy, error, 4)
         body.append([name, f"{float(fs):g}", f"{float(hydrogen):g}", plain, *cells, f"{lengths.sum():g}"])
     return table(("", "fs per force evaluation", "hydrogen (Da)", "as it is", "corrected", "correction", "ns"), body)

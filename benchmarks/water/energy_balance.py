@@ -1,8 +1,8 @@
-"""What a run at constant temperature conserves: the sum of the energies at the end of a step, and the energy balance.
+"""Conserved quantities at constant temperature: the total energy at the end of a step, and the energy balance.
 
-A droplet of 27 rigid TIP3P runs for 0.4 ps from one state at 300 K, hardly coupled to the thermostat, at three step
-sizes. Printed are the standard deviations, in kJ/mol, of the sum of kinetic and potential energy and of the balance,
-which is `effectiveEnergy` or `conservedEnergy`.
+A droplet of 27 rigid TIP3P molecules runs for 0.4 ps from one state at 300 K, weakly coupled to the thermostat, at
+three step sizes. The script prints the standard deviations, in kJ/mol, of the sum of kinetic and potential energy and
+of the energy balance, which is `effectiveEnergy` or `conservedEnergy`.
 
     python benchmarks/water/energy_balance.py
 """

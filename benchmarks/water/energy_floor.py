@@ -1,9 +1,10 @@
-"""What a switch and a tight Ewald tolerance cost, and what they let an integrator bring.
+"""The cost of a switch and a tight Ewald tolerance, and the energy error of integrators with and without them.
 
-A box of TIP3P with PME (CPU platform, one thread): the standard deviation of the total energy of Verlet and W4_4
-at the same time between force evaluations, without and with `switchDistance`, at OpenMM's default `ewaldErrorTolerance`
-and a tight one; and the processor time of a force evaluation over that with the defaults, the least of rounds in which
-the settings take turns. Each run is one job of an ensemble: what has finished is not run again.
+For a box of TIP3P with PME (CPU platform, one thread), the script measures the standard deviation of the total energy
+of Verlet and W4_4 at the same time between force evaluations, without and with `switchDistance`, at OpenMM's default
+`ewaldErrorTolerance` and a tight one. It also measures the processor time of a force evaluation relative to that with
+the defaults, the smallest over rounds in which the settings alternate. Each run is a job of an ensemble; finished runs
+are not repeated.
 
     python benchmarks/water/energy_floor.py
 """

@@ -1,20 +1,20 @@
-"""Rigid water at constant temperature: what the size of the step does to equipartition, energy and density.
+"""Rigid water at constant temperature: the effect of the step size on equipartition, energy and density.
 
-With SETTLE and leapfrog, rigid water is off equipartition at every step above 0.5 fs: D. Asthagiri and T. L. Beck,
-arXiv:2308.08383. Here OpenMM's LangevinMiddleIntegrator, rigid-body
-BAOAB, W2_3m and W2_4g run the same water at the same time a force
-evaluation, and hybrid Monte Carlo if it is asked for, which has no error of the step (--methods hybrid --intervals 4):
-T_rot - T_tr, the potential energy and, at constant pressure, the density, each with its error. NoseHoover is OpenMM's
-NoseHooverIntegrator, NoseHoover/W2_3m the chains of this package with that scheme.
+With SETTLE and leapfrog, rigid water deviates from equipartition at every step above 0.5 fs: D. Asthagiri and T. L.
+Beck, arXiv:2308.08383. Here OpenMM's LangevinMiddleIntegrator, rigid-body BAOAB, W2_3m and W2_4g simulate the same
+water with the same time between force evaluations. Optionally, hybrid Monte Carlo is added, which has no step-size
+error (--methods hybrid --intervals 4). The results are T_rot - T_tr, the potential energy and, at constant pressure,
+the density, each with its error. NoseHoover is OpenMM's NoseHooverIntegrator, and NoseHoover/W2_3m the chains of this
+package with that scheme.
 
-Of LangevinMiddleIntegrator there are two T_rot: from the velocities as it reports them, and after
-applyVelocityConstraints, which leaves the linear and angular momentum of each molecule and nothing else.
+T_rot of LangevinMiddleIntegrator is computed twice: from the reported velocities, and after applyVelocityConstraints,
+which leaves only the linear and angular momentum of each molecule.
 
-A point is made of several runs with their own seeds, and each is one job of an ensemble: the command continues where
-it stopped. What each run gave is a line of a record, docs/equipartition.csv, and what is in the record is not run
-again: so the study goes on from machine to machine. Errors are those of the mean of independent runs. The whole study,
-1 ns a point of 216 molecules, takes 69 million forces; --models, --ensembles, --methods, --intervals and --runs choose
-a part of it. Several such commands beside each other are fastest with a core for each and one worker: taskset -c 0.
+A point consists of several runs with different seeds. Each run is a job of an ensemble and a row of the record
+docs/equipartition.csv. Runs in the record are not repeated, so that the study can continue on another machine. Errors
+are those of the mean of independent runs. The whole study, 1 ns per point of 216 molecules, takes 69 million force
+evaluations; --models, --ensembles, --methods, --intervals and --runs select a part of it. Several commands run fastest
+with one core and one worker each: taskset -c 0.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
-"""The record of the study of equipartition: what each run gave, the means of points, and tables of them.
+"""The record of the study of equipartition: the results of each run, the means of points, and their tables.
 
-A line of docs/equipartition.csv is one run: what it was, and its means. The documentation makes its tables from it.
+A row of docs/equipartition.csv contains the settings and the means of one run. The tables of the documentation are
+generated from this record.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
-"""Where a step of W2_3m ends: what a drift behind the heat exchange does to potential and kinetic energies.
+"""The effect of the drift of W2_3m after its heat exchange on potential and kinetic energies at the end of a step.
 
-By how much the potential energy of water is lower there than where the next kick is: both are places of one
-trajectory, so that a few picoseconds are enough; 216 molecules with PME, 298.15 K, friction 5/ps. With --solute, by how
-much a drift with inner steps would heat alanine dipeptide in water, or a solvated PDB file, from the balance of its
-bonded and other forces along a run of LangevinMiddleIntegrator. Errors are from the scatter of ten blocks.
+The script measures by how much the potential energy of water at the end of a step is below that at the next kick. Both
+positions belong to one trajectory, so that a few picoseconds are sufficient; the system is 216 molecules with PME at
+298.15 K, friction 5/ps. With --solute, the script estimates by how much a drift with inner steps would heat alanine
+dipeptide in water, or a solvated PDB file, from the correlation of bonded and other forces along a run of
+LangevinMiddleIntegrator. Errors are from the scatter of ten blocks.
 
     python benchmarks/water/reading_point.py --model spce
     python benchmarks/water/reading_point.py --solute --duration 20

@@ -1,9 +1,10 @@
-"""The reciprocal part of PME in the outer steps alone: what nesting does not bring.
+"""The reciprocal part of PME in the outer steps only, with all other forces in inner steps.
 
-OpenMM can give the reciprocal part of an Ewald sum a force group of its own, and `fast=` puts the other groups into
-inner steps. Rigid TIP3P in a periodic box on Reference: standard deviation of the total energy within runs, beside the
-plain scheme with as many evaluations of everything. An evaluation of the direct part, and one of the reciprocal part,
-are timed, and a ps of each method has its price from these.
+OpenMM can assign the reciprocal part of an Ewald sum to a separate force group, and `fast=` can integrate the other
+groups in inner steps. For rigid TIP3P in a periodic box on the Reference platform, the script measures the standard
+deviation of the total energy within runs, and compares it with that of the plain scheme with as many evaluations of all
+forces. The cost of each method per ps is computed from the times of an evaluation of the direct part and of the
+reciprocal part.
 """
 
 from __future__ import annotations

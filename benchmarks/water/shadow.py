@@ -1,15 +1,15 @@
-"""What the shadow energies of splittings say of rigid water: temperatures and potential energy before any run.
+"""Predictions from the shadow energies of splittings for rigid water: temperatures and potential energy.
 
-A symmetric splitting keeps an energy beside the true one. Of an oscillator of the frequency w it is that of
-`openmm_exactrb.schemes.shadow`, which tells how hot and how wide the oscillator looks at the ends of steps. Here the
-spectrum of the linear momenta of water and that of its angular momenta, each about one axis of the molecule, take the
-places of oscillators, all of which share one temperature; the thermostat sets their mean kinetic temperature where it
-acts. What comes out is T_rot - T_tr and the error of the potential energy for each scheme and each time a force
-evaluation. It knows nothing of resonances of long steps with fast motion, which heat, and of friction, which pulls
-each mode to the temperature of the thermostat.
+A symmetric splitting conserves an energy that differs from the true energy. For an oscillator of frequency w, this
+shadow energy is that of `openmm_exactrb.schemes.shadow`, which determines <p²> and <q²> at the ends of steps. Here, the
+spectra of the linear momenta of water and of its angular momenta about each axis of the molecule define a set of
+oscillators that share one temperature. The thermostat sets their mean kinetic temperature at the point in the step
+where it acts. The results are T_rot - T_tr and the error of the potential energy, for each scheme and each time between
+force evaluations. The prediction neglects resonances of long steps with fast motion, which cause heating, and friction,
+which moves the temperature of each mode towards that of the thermostat.
 
-A liquid is no set of oscillators: to second order its potential energy has an error of its own, which `Anharmonicity`
-predicts from two short runs at other temperatures.
+A liquid is not a set of oscillators. To second order, its potential energy has an additional error, which
+`Anharmonicity` predicts from two short runs at other temperatures.
 """
 
 from __future__ import annotations

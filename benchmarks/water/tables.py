@@ -1,4 +1,4 @@
-"""Tables of water: droplet.py, water_boxes.py, energy_balance.py, averages.py, reading_point.py and shadow.py."""
+"""Tables of droplet.py, water_boxes.py, energy_balance.py, averages.py, reading_point.py and shadow.py."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ import numpy as np
 
 from benchmarks.common.markdown import distinct, rows, table, with_error
 from benchmarks.common.records import Row
+from benchmarks.common.reported import error_over_runs
 from benchmarks.water import corrected_water
-from benchmarks.water.averages import KEY, OFFSET, OFFSET_ERROR, PARTS, UNITS
+from benchmarks.water.averages import KEY, OFFSET, PARTS, UNITS
 from benchmarks.water.equipartition_record import FRICTION, LFM, NAMES, RECORD, less, read, whole
 
 WINDOWS = ("2", "10", "30")  # ps
@@ -82,20 +83,18 @@ def averages() -> str:
         for name in UNITS:
             values = np.array([[float(row[f"{name}{part}"]) for part in PARTS] for row in some])
             if np.isfinite(values).all():
-                plain, after, _, _ = weights @ values
-                error, of_correction = np.sqrt(weights**2 @ values[:, 2:] ** 2)
+                plain, after, *_ = weights @ values
+                error, of_correction = (error_over_runs(weights, values[:, k], values[:, -1]) for k in (2, 3))
                 digits = max(0, 1 - math.floor(math.log10(error)))
                 cells = with_error(after - plain, of_correction, digits), with_error(after, error, digits)
                 known = corrected_water.at_small_steps(model, ensemble, name)
                 reference = with_error(*known, digits) if known else ""
                 row = *of_run, f"{name} ({UNITS[name]})", f"{plain:.{digits}f}".replace("-", "−"), *cells, reference
                 body.append((*row, f"{length:g} ps"))
-        offset, error = np.array([[float(row[name]) for name in (OFFSET, OFFSET_ERROR)] for row in some]).T
+        offset, *errors = np.array([[float(row[name]) for name in OFFSET] for row in some]).T
         if np.isfinite(offset).all():
-            mean, of_mean, _ = corrected_water.agreement([*zip(offset, error, strict=True)])
-            body.append(
-                (*of_run, "offset of a barostat (bar)", "", with_error(mean, of_mean, 0), "", "", f"{length:g} ps")
-            )
+            cell = with_error(weights @ offset, error_over_runs(weights, *errors), 0)
+            body.append((*of_run, "offset of a barostat (bar)", "", cell, "", "", f"{length:g} ps"))
     head = ("", "", "average", "as it is", "correction", "corrected", "all steps up to 4 fs", "")
     return table(head, body)
 

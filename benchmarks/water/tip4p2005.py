@@ -1,9 +1,9 @@
-"""Density and enthalpy of TIP4P/2005 at 1 bar against the step: a picture and tables of two records.
+"""Density and enthalpy of TIP4P/2005 at 1 bar as functions of the step: a picture and tables of two records.
 
-The runs are those of equipartition.py, 216 molecules at constant pressure: docs/equipartition.csv has them at 298.15 K,
-docs/water_densities.csv at another temperature and with other integrators. The enthalpy is that of a user who adds the
-potential energy, the kinetic energy of the velocities in a State and the work of the pressure. Corrections for the step
-are those of corrected_water.py.
+The runs are those of equipartition.py, 216 molecules at constant pressure: docs/equipartition.csv contains runs at
+298.15 K, and docs/water_densities.csv runs at another temperature and with other integrators. The enthalpy is computed
+as a user would: the sum of the potential energy, the kinetic energy of the velocities of a State, and the product of
+pressure and volume. Corrections for the step are those of corrected_water.py.
 
     python benchmarks/water/equipartition.py --models tip4p2005 --ensembles NPT --record docs/water_densities.csv
     python benchmarks/water/tip4p2005.py

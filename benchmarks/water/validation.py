@@ -1,28 +1,29 @@
-"""What physical_validation finds in rigid water, and in a peptide with a force every 8 fs.
+"""The results of physical_validation for rigid water, and for a peptide with a force evaluation every 8 fs.
 
-physical_validation (P. T. Merz and M. R. Shirts, doi:10.1371/journal.pone.0202764) judges a simulation by what it gave
-and knows nothing of how it was made:
+physical_validation (P. T. Merz and M. R. Shirts, doi:10.1371/journal.pone.0202764) tests the results of a simulation,
+without knowledge of the method:
 
 kinetic energy
-    The p of a Kolmogorov-Smirnov test for the canonical distribution, and by how many standard errors the temperatures
-    are off that mean and width of the kinetic energy tell.
+    The p-value of a Kolmogorov-Smirnov test for the canonical distribution, and the deviations, in standard errors, of
+    the temperatures that follow from the mean and from the width of the distribution of the kinetic energy.
 equipartition
-    The same temperatures of translation and of rotation, found from positions and velocities of the atoms.
+    The same for the temperatures of translation and of rotation, computed from positions and velocities of the atoms.
 ensemble
-    Whether two runs differ as their temperatures (NVT) or their pressures (NPT) say, in standard errors: the ratio of
-    the distributions of energies or volumes is known without knowing either.
+    Whether two runs differ as their temperatures (NVT) or pressures (NPT) require, in standard errors. The ratio of
+    their distributions of energies or volumes is known exactly, although neither distribution is.
 convergence
-    At constant energy, whether the fluctuation of the total energy falls with the square of the step: the largest
-    deviation of a ratio from what is expected, each step being twice the next.
+    At constant energy, whether the fluctuation of the total energy is proportional to the square of the step: the
+    largest deviation of a ratio from the expected one, for steps that differ by factors of two.
 
 W2_3m is for alanine dipeptide in water with hydrogens of 3 amu, as in `protein_steps.py`; the others are for water.
 
-A point is made of runs with seeds of their own, and each is a file of `--out`. What is there is not run again, so that
-several commands with other seeds may share the work. At the end all files of these settings are judged.
+A point consists of runs with different seeds. Each run is a file in the folder `--out`, and existing files are not
+computed again, so that several commands with different seeds can share the work. At the end, all files of these
+settings are tested.
 
     python benchmarks/water/validation.py --seeds 1 2 3 4 --workers 2 --table docs/physical_validation.csv
     python benchmarks/water/validation.py --integrators W2_3m --interval 8 --seeds 1 2 --length 100
-    python benchmarks/water/validation.py --seeds          # only judges
+    python benchmarks/water/validation.py --seeds          # only tests the existing files
 """
 
 from __future__ import annotations

@@ -1,10 +1,11 @@
 """Rigid water in a periodic box with PME: the energy error over 30 ps, compared with OpenMM's Verlet at equal cost.
 
-216 molecules of each model on the CPU platform, whose forces are of single precision, with a switch before the cutoff
-and tight PME, so that the integrator is seen and not the cutoff; --loose takes neither, as createSystem does. Each run
-starts from canonical water that LangevinMiddleIntegrator has made with a seed of its own. A run is one job of an
-ensemble: the command continues where it stopped. Results go to out/water_boxes: a table (CSV) and `energy.png`, the
-energy of the first model over time.
+216 molecules of each model run on the CPU platform, whose forces have single precision. A switch before the cutoff and
+a tight Ewald tolerance make the errors of the forces small compared with those of the integrator; --loose uses the
+defaults of createSystem instead. Each run has a separate start, drawn from the canonical distribution with
+LangevinMiddleIntegrator and a different seed. A run is a job of an ensemble, so that an interrupted command can be
+resumed. Results are written to out/water_boxes: a table (CSV) and `energy.png`, the energy of the first model over
+time.
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
 """The step-size error of drifts that move particles in straight lines and then back onto their constraints.
 
-LangevinMiddleIntegrator drifts along a chord: it moves the particles as if there were no constraints, and then back
-onto the constraints along the gradients at the start of the drift. With a heat exchange halfway through such a drift,
-the conserved quantity next to the exchange has the additional term
+In each drift, LangevinMiddleIntegrator moves the particles along a chord: first as if there were no constraints, and
+then back onto the constraints along their gradients at the start of the drift. With a heat exchange halfway through
+such a drift, the conserved quantity next to the exchange has the additional term
 
     h² T,        T = a·M a/24,
 
-where a is the acceleration of the free motion with these constraints. Half of the noise along the gradients enters the
-velocities, but changes no average to second order. Let r_c be the vector between the two ends of constraint c, u_c its
-rate of change, and E the matrix that takes the differences between ends. Then
+where a is the acceleration of the free motion with these constraints. Half of the noise along the gradients of the
+constraints enters the velocities, but changes no average to second order in the step. Let r_c be the vector between the
+two ends of constraint c, u_c its rate of change, and E the matrix that computes the differences between ends. Then
 
     a·M a = q·Z⁻¹q,        q_c = |u_c|²,        Z_cd = L_cd r_c·r_d,        L = E M⁻¹Eᵀ.
 """
@@ -23,16 +23,16 @@ import numpy as np
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.support.types import Array, Indices
 
-# Constraints whose independence of the others in a cluster is below this number are treated as redundant. The number is
-# the square of a slope, such as that of a flat pyramid, and must be far above h²ω² of a rotation with angular velocity
-# ω.
+# Eigenvalues of Z below this fraction of the largest one belong to redundant constraints. For a flat pyramid of
+# constraints, the fraction is the square of its slope. The fraction must be far above h²ω² for a rotation with the
+# angular velocity ω.
 _INDEPENDENT = 1e-4
 # The largest number of constraints in a cluster, whose matrices are dense here.
 _LARGEST = 100
 
 
 class _Held(NamedTuple):
-    """Clusters of one graph: the ends (N, m, 2) of their constraints, and the matrix L (m, m) in 1/Da."""
+    """Clusters with the same graph: the ends (N, m, 2) of constraints, and the matrix L (m, m) in 1/Da."""
 
     ends: Indices
     inverse_mass: Array
@@ -52,7 +52,7 @@ class Chords:
     Raises
     ------
     ValueError
-        If the constraints of a rigid body do not hold it rigid to first order, or a cluster has too many constraints.
+        If the constraints of a rigid body do not fix its shape to first order, or a cluster has too many constraints.
     """
 
     def __init__(self, bodies: RigidBodies, pairs: Indices, x: Array) -> None:
@@ -60,12 +60,13 @@ class Chords:
         for particles, masses, own, sites in _clusters(bodies, pairs):
             if len(own) > _LARGEST:
                 raise ValueError(
-                    f"averages of LangevinMiddleIntegrator cannot be corrected with {len(own)} constraints in one "
-                    "cluster: constrain only bonds to hydrogen (HBonds), or use ExactRigidBodyLangevinIntegrator"
+                    f"averages of LangevinMiddleIntegrator cannot be corrected, because {len(own)} constraints join "
+                    f"the particles of one molecule, but at most {_LARGEST} are supported: constrain only bonds to "
+                    "hydrogen (HBonds), or use ExactRigidBodyLangevinIntegrator"
                 )
             differences = np.eye(len(masses))[own[:, 0]] - np.eye(len(masses))[own[:, 1]]
             held = _Held(particles[:, own], differences / masses @ differences.T)
-            # For a rigid body, its shape is used, because the initial positions of a run may be inaccurate.
+            # The shape of a rigid body is used instead of its positions, because initial positions may be inaccurate.
             r = _vectors(held, x) if sites is None else sites[:, own[:, 0]] - sites[:, own[:, 1]]
             ranks = np.linalg.matrix_rank(_matrix(held, r), rtol=_INDEPENDENT, hermitian=True)
             alike = len(particles) // len(r)

@@ -5,24 +5,24 @@ f·M⁻¹f_s. The error that a splitting with steps h causes in the average of a
 
     h² {-(alpha + beta) Cov(A, S)/kT - kappa <grad A · M⁻¹f_s> + J},
 
-where kappa = alpha + y²/2 - c (`openmm_exactrb.schemes.step_errors`) and J depends on the friction. For friction far
-slower than the exchange of energy between motions and far faster than all motions, respectively,
+where kappa = alpha + y²/2 - c (`openmm_exactrb.schemes.step_errors`) and J depends on the friction. For frictions far
+below the rate of energy exchange between motions, and for frictions far above all frequencies, respectively,
 
     J = 2 alpha <W> Cov(A, U)/(n (kT)²),        J = -2 alpha <grad A · M⁻¹f_s> - alpha Cov(A, W)/kT,
 
 with n degrees of freedom. The second limit is exact only without inner steps. For harmonic motions that exchange no
-energy, the second limit holds at any friction. A correction uses the mean of these limits. Drifts along chords also
-conserve h² T (`openmm_exactrb.averages.chord`), which adds
+energy, the second limit holds at any friction. A correction uses the mean of the two limits. The conserved energy of
+drifts along chords has the additional term h² T (`openmm_exactrb.averages.chord`), which adds
 
     -Cov(A, T)/kT + 4 <T> Cov(A, U)/(n (kT)²)
 
-to the average at weak friction, and to the energy of a harmonic liquid at any friction. A barostat accepts volumes by
-the true energy. The error dP of the pressure at a fixed volume therefore changes any average by Cov(A, V) dP/kT. Here
-kappa in dP is that of the point in a step at which the barostat acts. All other terms contain the fluctuations of A, S
-and W at a fixed volume, because the volume changes slowly.
+to the average at weak friction, and to the energy of a harmonic liquid at any friction. A barostat accepts changes of
+volume according to the true energy. The error dP of the pressure at a fixed volume therefore changes any average by
+Cov(A, V) dP/kT. In dP, kappa is that of the point in a step at which the barostat acts. All other terms contain the
+fluctuations of A, S and W at a fixed volume, because the volume changes slowly.
 
-For harmonic motions with frequencies w, Var(S) = 2 (kT)² sum w⁴ over the motions without inner steps. Their error of
-fourth order in the average of U is
+For harmonic motions with frequencies w, Var(S) = 2 (kT)² sum w⁴ over the motions without inner steps. The fourth-order
+error of these motions in the average of U is
 
     h⁴ quartic Var(S)/(4 kT),
 
@@ -66,7 +66,10 @@ class Average:
         The difference between `mean` and the average over the frames.
     correction_error : float
         The standard deviation of the correction, which includes statistical errors, a uniform distribution over
-        `bracket`, and one as wide as the fourth-order term of an energy.
+        `bracket`, and, for energies, a uniform distribution as wide as the fourth-order term.
+    systematic_error : float
+        The contribution of these uniform distributions to `error` and `correction_error`. It does not decrease in
+        longer runs, and is common to runs with different seeds.
     bracket : (float, float)
         The corrected averages for weak and for strong friction; `mean` is halfway between them.
     """
@@ -75,12 +78,13 @@ class Average:
     error: float
     correction: float
     correction_error: float
+    systematic_error: float
     bracket: tuple[float, float]
 
 
 @dataclass(frozen=True)
 class PressureOffset:
-    """The step-size error of the pressure where a barostat acts in a step, to be added to the pressure of the barostat.
+    """An offset for the pressure of a barostat: the step-size error of the pressure where the barostat acts in a step.
 
     Attributes
     ----------
@@ -100,7 +104,7 @@ class PressureOffset:
     temperature: float
 
     def barostat(self, pressure: float | unit.Quantity, frequency: int = 25) -> openmm.MonteCarloBarostat:
-        """Return a barostat that samples the density of zero step size at a pressure, in bar if it has no unit."""
+        """Return a barostat that corrects the density for the step size, at a pressure (in bar if it has no unit)."""
         wanted = plain(pressure, unit.bar, "a pressure")
         frequency = checks.whole(frequency, "frequency", of="steps")
         return openmm.MonteCarloBarostat((wanted + self.bar) * unit.bar, self.temperature * unit.kelvin, frequency)
@@ -113,7 +117,7 @@ def corrected(
     local: bool = False,
     pressure: float | unit.Quantity | None = None,
 ) -> Average:
-    """Return the average of an observable without the second-order error of the step size.
+    """Return the average of an observable without the second-order step-size error.
 
     The fourth-order error of harmonic motions is also subtracted from the potential energy and the enthalpy.
 
@@ -146,9 +150,12 @@ def corrected(
     """
     settings, columns = _checked(file)
     if isinstance(observable, str) and slope is not None:
-        raise ValueError(f"the slope of {observable!r} is in the file: omit slope=, or give one value for each frame")
+        raise ValueError(
+            f"slope= cannot be combined with a named observable, here {observable!r}: omit slope=, or pass an array "
+            "of one value per frame as the observable"
+        )
     if checks.switch(local, "local") and isinstance(observable, str) and observable in READY:
-        raise ValueError(f"the {observable} depends on all particles: omit local=")
+        raise ValueError(f"local=True does not apply to the {observable}, which depends on all particles: omit local=")
     excess = 0.0
     if pressure is not None:
         if not settings.barostat:
@@ -159,10 +166,11 @@ def corrected(
         wanted = plain(pressure, unit.bar, "a pressure")
         settings, excess = replace(settings, pressure=wanted), settings.pressure - wanted
     if settings.barostat and "pressure" not in columns:
-        raise ValueError(f"{file} has no pressure: create the AverageReporter with pressure=True")
+        raise ValueError(f"{file} contains no pressures: repeat the run with AverageReporter(..., pressure=True)")
     if local and "square around" not in columns:
         raise ValueError(
-            f"{file} has no curvature around particles: create the AverageReporter with around=(particles, distance)"
+            f"{file} contains no curvature near particles, which local=True needs: repeat the run with an "
+            "AverageReporter that has around=(particles, distance)"
         )
     of = named(settings, observable) if isinstance(observable, str) else given(observable, slope, columns)
 
@@ -178,7 +186,7 @@ def pressure_offset(file: str | os.PathLike[str]) -> PressureOffset:
     """Return the step-size error of the pressure where a barostat acts, from a run at constant volume.
 
     This error differs from that of ``corrected(file, "pressure")`` if a barostat does not act at the end of the step.
-    With W2_3m it acts at the next kick.
+    With W2_3m, a barostat acts at the positions of the next kick.
 
     Parameters
     ----------
@@ -193,7 +201,7 @@ def pressure_offset(file: str | os.PathLike[str]) -> PressureOffset:
     """
     settings, columns = _checked(file)
     if "pressure" not in columns:
-        raise ValueError(f"{file} has no pressure: create the AverageReporter with pressure=True")
+        raise ValueError(f"{file} contains no pressures: repeat the run with AverageReporter(..., pressure=True)")
 
     def result(some: Columns) -> _Result:
         value, of = pressure_of(settings, some)
@@ -272,10 +280,12 @@ def _jackknife(columns: Columns, of: Callable[[Columns], _Result]) -> Average:
         mean, *limits, rest = of({name: values[kept] for name, values in columns.items()})
         left_out.append((mean - np.mean(limits) - rest, np.mean(limits) + rest))
     statistical = np.std(left_out, axis=0) * np.sqrt(_BLOCKS - 1.0)
-    uniform = np.hypot(weak - strong, higher) / np.sqrt(12.0)  # standard deviation of uniform distributions
-    error, of_correction = map(float, np.hypot(statistical, uniform))
+    systematic = float(np.hypot(weak - strong, higher) / np.sqrt(12.0))  # standard deviation of uniform distributions
+    error, of_correction = map(float, np.hypot(statistical, systematic))
     off = 0.5 * (weak + strong) + higher
-    return Average(value - off, error, -off, of_correction, (value - weak - higher, value - strong - higher))
+    return Average(
+        value - off, error, -off, of_correction, systematic, (value - weak - higher, value - strong - higher)
+    )
 
 
 def _checked(file: str | os.PathLike[str]) -> tuple[Settings, Columns]:
@@ -283,5 +293,8 @@ def _checked(file: str | os.PathLike[str]) -> tuple[Settings, Columns]:
     settings, columns = read(file)
     frames = len(columns["step"])
     if frames < _FEWEST:
-        raise ValueError(f"{file} has {frames} frames, but error estimates need at least {_FEWEST}: extend the run")
+        raise ValueError(
+            f"error estimates need at least {_FEWEST} frames, but the number of frames in {file} is {frames}: extend "
+            "the run"
+        )
     return settings, columns | {FRAME: np.arange(float(frames))}

@@ -57,7 +57,7 @@ class Dynamics:
     fast : FastForces, optional
         The fast forces, which act in the drifts.
     chords : Chords, optional
-        The conserved term of the drifts, if they are along chords.
+        The conserved term of drifts along chords; None for other drifts.
     changing : callable
         Returns the settings that a user may change during a run.
     """
@@ -83,7 +83,7 @@ def dynamics_of(simulation: Any) -> Dynamics:
     Raises
     ------
     ValueError
-        If the theory does not apply to the integrator.
+        If averages of the integrator cannot be corrected.
     """
     integrator = simulation.integrator
     theirs = isinstance(integrator, openmm.LangevinMiddleIntegrator)
@@ -108,7 +108,8 @@ def dynamics_of(simulation: Any) -> Dynamics:
     dynamics = (_of_openmm if theirs else _of_this_package)(simulation, frictions)
     if not dynamics.temperature:
         raise ValueError(
-            "averages can be corrected only at a temperature above 0 K: set it with integrator.setTemperature"
+            "averages can be corrected only at a temperature above 0 K: set a positive temperature with "
+            "integrator.setTemperature"
         )
     return dynamics
 
@@ -130,7 +131,7 @@ def _of_this_package(simulation: Any, frictions: tuple[float, ...]) -> Dynamics:
         fast = None
     if fast is not None and not integrator._up_to_date().defers_inner_drifts:  # noqa: SLF001
         raise ValueError(
-            "averages cannot be corrected with fast forces for which the device has no kernel: use engine='host'"
+            "averages cannot be corrected with fast forces for which the device engine has no kernel: use engine='host'"
         )
     return Dynamics(
         scheme=integrator.getScheme().name,
@@ -149,7 +150,7 @@ def _of_this_package(simulation: Any, frictions: tuple[float, ...]) -> Dynamics:
             integrator.getStepSize()._value,
             integrator.getThermostat(),
             integrator.getScheme(),
-            integrator.bodyState()[0] is bodies,  # not after context.reinitialize()
+            integrator.bodyState()[0] is bodies,  # false after context.reinitialize()
         ),
     )
 
@@ -188,7 +189,7 @@ def _of_openmm(simulation: Any, frictions: tuple[float, ...]) -> Dynamics:
 
 
 def _damping(thermostat: Langevin, bodies: RigidBodies, flexible: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return the frictions of bodies relative to their mean; frictions in flexible molecules may be different."""
+    """Return the frictions of bodies relative to their mean; bodies in flexible molecules may have other frictions."""
     rates = zip(thermostat.frictions, thermostat.flexible_frictions, strict=True)
     translation, rotation = (np.where(flexible, other, rate) for rate, other in rates)
     rotation = rotation[: bodies.n_turning]

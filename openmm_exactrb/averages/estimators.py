@@ -1,4 +1,4 @@
-"""Observables as functions of the frames: their averages, and what the step-size errors of the averages follow from."""
+"""Observables as functions of the frames: their averages, and the data for the step-size errors of the averages."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Sampled(NamedTuple):
 
 
 Columns = dict[str, Array]
-#: The name of the column with the numbers of the frames, which no file contains.
+#: The name of the column of frame numbers, which is computed and not read from a file.
 FRAME = "frame"
 #: A value, and an observable whose average has the same step-size error.
 Estimate = tuple[float, Sampled]
@@ -37,14 +37,22 @@ def named(settings: Settings, name: str) -> Callable[[Columns], Estimate]:
         return lambda columns: _mean(columns[name], columns[f"{name} slope"], columns[f"{name} inner slope"])
     if name not in READY:
         known = ", ".join([*READY, *settings.observables])
-        raise ValueError(f"unknown observable {name!r}: choose one of {known}, or give one value for each frame")
+        raise ValueError(
+            f"the observable {name!r} is unknown: choose one of {known}, or pass an array of one value per frame"
+        )
     needs, ensemble, of = READY[name]
     if ensemble == "constant pressure" and not settings.barostat:
-        raise ValueError(f"the {name} needs a run at constant pressure: add a MonteCarloBarostat to the System")
+        raise ValueError(
+            f"the {name} can be corrected only for a run at constant pressure: add a MonteCarloBarostat to the "
+            "System, and repeat the run"
+        )
 
     def estimate(columns: Columns) -> Estimate:
         if needs not in columns:
-            raise ValueError(f"the {name} needs the {needs}: create the AverageReporter with pressure=True")
+            raise ValueError(
+                f"the file contains no column {needs!r}, which the {name} needs: repeat the run with an "
+                "AverageReporter that has pressure=True"
+            )
         return of(settings, columns)
 
     return estimate
@@ -53,13 +61,13 @@ def named(settings: Settings, name: str) -> Callable[[Columns], Estimate]:
 def given(values: Any, slope: Any, columns: Columns) -> Callable[[Columns], Estimate]:
     """Return the estimator of a user's values for each frame."""
     frames = len(columns[FRAME])
-    array = checks.array(values, "values", "a number for each frame")
+    array = checks.array(values, "observable", "one number for each frame")
     given = [0.0, 0.0] if slope is None else list(slope) if np.ndim(slope) == 2 else [slope, np.zeros(frames)]
-    slopes = [checks.array(s, "slope", "a number for each frame, or two of them") for s in given]
+    slopes = [checks.array(s, "slope", "one number for each frame, or two such arrays") for s in given]
     fits = array.shape == (frames,) and len(slopes) == 2 and all(s.shape in ((), (frames,)) for s in slopes)
     if not fits or not all(np.isfinite(some).all() for some in (array, *slopes)):
         raise ValueError(
-            f"observable and slope must have one finite number for each of the {frames} frames of the file"
+            f"observable and slope must contain one finite number for each of the {frames} frames of the file"
         )
     slopes = [np.broadcast_to(s, (frames,)) for s in slopes]
 

@@ -1,7 +1,8 @@
 """The quantities of a frame that determine the step-size error of averages.
 
-The symbols are those of `openmm_exactrb.averages.correction`: f is the generalised force of all forces and f_s that of
-the forces in the kicks. The slopes of observables are their derivatives along the velocity field w = M⁻¹f_s.
+The symbols are those of `openmm_exactrb.averages.correction`: f is the generalised force due to all forces, and f_s is
+the generalised force due to the forces in the kicks. The slopes of observables are their derivatives along the velocity
+field w = M⁻¹f_s.
 """
 
 from __future__ import annotations
@@ -26,16 +27,16 @@ from openmm_exactrb.support.types import Array
 #: An observable of the positions (n_particles, 3) of all particles, in nm.
 Observable = Callable[[Array], float]
 
-# The relative change of lengths in the difference quotients of the pressure.
+# The relative change of lengths in the difference quotients for the pressure.
 _STRETCH = 1e-3
-# The largest displacement of a particle (nm) in the difference quotients of observables.
+# The largest displacement of a particle (nm) in the difference quotients for slopes of observables.
 _SHIFT = 1e-4
 #: bar per kJ/mol/nm³.
 BAR = 16.605390671738466
 
 
 class Force(NamedTuple):
-    """A generalised force: forces (3, N) along constraints, and body-frame torques (3, K)."""
+    """A generalised force: forces (3, N), projected onto the constraints of clusters, and body-frame torques (3, K)."""
 
     force: Array
     torque: Array
@@ -91,7 +92,7 @@ class Frames:
         return self._excerpt.forces(self._context, x)
 
     def _products(self, one: Force, other: Force) -> Force:
-        """Return f·M⁻¹g of each body for forces f and g: of translation (N,) and of rotation (K,)."""
+        """Return f·M⁻¹g of each body for forces f and g: for translation (N,) and for rotation (K,)."""
         translation = (one.force * other.force).sum(axis=0) / self.bodies.mass
         return Force(translation, (one.torque * other.torque / self.bodies.inertia.T).sum(axis=0))
 
@@ -137,7 +138,7 @@ def _sum(product: Force, weights: tuple[Array, Array] | None = None) -> float:
 
 
 def _value(name: str, observable: Observable, x: Array) -> float:
-    """Return the value of a user's observable, which may change its argument."""
+    """Return the value of a user's observable at a copy of x, because the observable may change its argument."""
     value = observable(x.copy())
     return float(value) if isinstance(value, bool | np.bool_) else checks.number(value, f"the observable {name!r}")
 

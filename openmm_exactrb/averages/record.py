@@ -27,9 +27,9 @@ class Settings:
     alpha, beta : float
         Coefficients of the conserved energy; see `openmm_exactrb.schemes.step_errors`.
     slopes : (float, float)
-        Factors with which a correction subtracts the slope of an observable, for bodies without and with inner steps.
+        Factors of the slope of an observable in a correction, for bodies without and with inner steps.
     barostat_slope : float
-        The same factor for the slope of the pressure at the point of a step where a barostat acts.
+        Factor of the slope of the pressure at the point in a step at which a barostat acts.
     quartic : float
         Coefficient of the fourth-order error of the energy of harmonic motions; see `schemes.step_errors`.
     temperature : float
@@ -53,7 +53,7 @@ class Settings:
     interval : int, optional
         Number of steps between two frames.
     around : tuple of float, optional
-        The distance in nm, followed by the particles, of the argument `around` of the reporter.
+        The reporter's argument `around`: the distance in nm, followed by the particles.
     system : str, optional
         A hash of the System, without the seeds of its forces; empty if OpenMM cannot serialise the System.
     """
@@ -122,20 +122,20 @@ def continued(file: Path, step: int, settings: Settings, columns: tuple[str, ...
     text = file.read_text(encoding="utf-8")
     first, second, *rows = [*text.splitlines(keepends=True), "", ""]
     if _settings(first) != settings or second.strip() != ",".join(columns):
-        raise ValueError(f"{file} belongs to a run with other settings: give the AverageReporter another file")
+        raise ValueError(f"{file} belongs to a run with other settings: pass another file to the AverageReporter")
     if not text.endswith("\n"):
-        raise ValueError(f"{file} ends with an incomplete line: delete this line, or give another file")
+        raise ValueError(f"{file} ends with an incomplete line: delete this line, or use another file")
     kept = [row for row in rows if row and int(row.split(",")[0]) <= step]
     if not kept and any(rows):
         raise ValueError(
             f"all frames in {file} are after step {step}, at which this run begins: load the State in which the "
-            "earlier run ended, or give another file"
+            "earlier run ended, or use another file"
         )
     return "".join((first, second, *kept))
 
 
 def _settings(line: str) -> Settings | None:
-    """Return the settings in a line, or None if it was not written by this version of an `AverageReporter`."""
+    """Return the settings in a line, or None for a line that this version of `AverageReporter` did not write."""
     known = _values(line)
     tuples = {name: tuple(value) for name, value in known.items() if isinstance(value, list)}
     try:
@@ -145,7 +145,7 @@ def _settings(line: str) -> Settings | None:
 
 
 def _values(line: str) -> dict[str, Any]:
-    """Return the names and values in a line of settings; they are empty for other lines."""
+    """Return the settings in a line by name, or an empty mapping for any other line."""
     try:
         known = json.loads(line.removeprefix(_MARK)) if line.startswith(_MARK) else {}
     except ValueError:
@@ -161,7 +161,7 @@ def _value(text: str) -> float:
 
 
 def read(file: str | os.PathLike[str]) -> tuple[Settings, dict[str, Array]]:
-    """Return the settings of a file, and its columns by names without units.
+    """Return the settings of a file, and its columns by name (without units).
 
     Raises
     ------
@@ -172,7 +172,7 @@ def read(file: str | os.PathLike[str]) -> tuple[Settings, dict[str, Array]]:
     """
     lines = Path(file).read_text(encoding="utf-8").splitlines()
     if len(lines) < 2 or not _values(lines[0]):
-        raise ValueError(f"{file} was not written by an AverageReporter: give a file that an AverageReporter wrote")
+        raise ValueError(f"{file} was not written by an AverageReporter: pass a file that an AverageReporter wrote")
     settings = _settings(lines[0])
     if settings is None:
         raise ValueError(
@@ -188,6 +188,6 @@ def read(file: str | os.PathLike[str]) -> tuple[Settings, dict[str, Array]]:
     finite = np.isfinite(values).all(axis=1)
     if not finite.all():
         raise ValueError(
-            f"line {3 + np.argmin(finite)} of {file} has a non-finite value: delete this line and all later ones"
+            f"line {3 + np.argmin(finite)} of {file} contains a non-finite value: delete this line and all later ones"
         )
     return settings, dict(zip(names, values.T, strict=True))

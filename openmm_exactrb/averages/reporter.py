@@ -41,18 +41,19 @@ class AverageReporter:
         Functions that return a number for the positions, an array (n_particles, 3) in nm with whole molecules. These
         functions are also evaluated at displaced positions, to compute the slopes that the corrections need.
     around : (sequence of int, float), optional
-        Particles, such as those of a solute, and a distance in nm (or a Quantity). The curvature of the potential is
-        then also stored for the bodies within this distance alone. For observables that depend only on these particles,
-        this reduces the statistical error of corrections: see the argument ``local`` of `corrected`.
+        Particles, such as those of a solute, and a distance in nm (or a Quantity). The reporter then also stores the
+        curvature of the potential of only those bodies that are within this distance of the particles. For observables
+        that depend only on the particles, the statistical error of corrections is then smaller: see the argument
+        ``local`` of `corrected`.
     append : bool, optional
         Whether to continue an existing file of a run with the same settings. Frames after the step at which the run
         continues, such as those after the last checkpoint of a killed run, are removed.
 
     Notes
     -----
-    After forces were changed with ``updateParametersInContext``, use a new reporter with another file.
-    The Simulation must use an `openmm_exactrb.ExactRigidBodyLangevinIntegrator` with one heat exchange per step, or
-    OpenMM's LangevinMiddleIntegrator. Each line is flushed to the file immediately.
+    After a change of forces with ``updateParametersInContext``, create a new reporter with another file. The Simulation
+    must use an `openmm_exactrb.ExactRigidBodyLangevinIntegrator` with one heat exchange per step, or OpenMM's
+    LangevinMiddleIntegrator. Each line is flushed to the file immediately.
     """
 
     def __init__(
@@ -93,7 +94,8 @@ class AverageReporter:
         frames = self._frames or self._begin(simulation)
         if self._simulation() is not simulation:
             raise ValueError(
-                f"the frames in {self._file} are from another Simulation: give each Simulation its own AverageReporter"
+                f"the frames in {self._file} are from another Simulation: use a separate AverageReporter for each "
+                "Simulation"
             )
         if self._changing(simulation) != self._present:
             raise ValueError(
@@ -114,8 +116,8 @@ class AverageReporter:
         dynamics = self._dynamics = dynamics_of(simulation)
         if self._around is not None and max(self._around[0]) >= simulation.system.getNumParticles():
             raise ValueError(
-                f"around= contains particle {max(self._around[0])}, but the System has only "
-                f"{simulation.system.getNumParticles()} particles"
+                f"the particles of around must be numbers from 0 to {simulation.system.getNumParticles() - 1}, not "
+                f"{max(self._around[0])}: choose particles of the System"
             )
         frames = Frames(simulation, dynamics, self._pressure, self._around)
         settings = self._settings(simulation)
@@ -186,7 +188,7 @@ def _named(observables: Any) -> dict[str, Observable]:
         raise ValueError(f"{asked}, not {reprlib.repr(observables)}")
     for name, observable in observables.items():
         if not isinstance(name, str) or not callable(observable):
-            raise ValueError(f"{asked}, but contains {reprlib.repr(name)}: {reprlib.repr(observable)}")
+            raise ValueError(f"{asked}, not a mapping that contains {reprlib.repr(name)}: {reprlib.repr(observable)}")
     columns = [*COLUMNS, *(column for name in observables for column in of_observable(name))]
     for name in observables:
         plain_text = name.isprintable() and name == name.strip() != "" and not set(name) & set(',("')
@@ -201,10 +203,14 @@ def _named(observables: Any) -> dict[str, Observable]:
 def _around(around: Any) -> tuple[list[int], float]:
     """Return the particles and the distance (nm) of a neighbourhood."""
     if not isinstance(around, Sequence) or len(around) != 2:
-        raise ValueError(f"around must consist of particles and a distance, not {reprlib.repr(around)}")
+        raise ValueError(
+            f"around must be a pair of particles and a distance, such as ([0, 1, 2], 0.5), not {reprlib.repr(around)}"
+        )
     (particles,) = checks.lists_of_indices([around[0]], "the particles of around")
     if not particles or min(particles) < 0:
-        raise ValueError(f"around must name at least one particle, by indices from 0, not {reprlib.repr(around[0])}")
+        raise ValueError(
+            f"the particles of around must be a list of at least one index from 0 on, not {reprlib.repr(around[0])}"
+        )
     distance = checks.positive(plain(around[1], unit.nanometer, "a distance"), "the distance of around", of="nm")
     return particles, distance
 
@@ -213,6 +219,6 @@ def _hash(system: openmm.System) -> str:
     """Return a hash of a System without seeds, or an empty text if OpenMM cannot serialise the System."""
     try:
         text = openmm.XmlSerializer.serialize(system)
-    except Exception:  # of a PythonForce, any error of pickle: such Systems are not compared
+    except Exception:  # any error of pickle, for a PythonForce; such Systems are not compared
         return ""
     return digest(re.sub(r'randomSeed="\d*"', "", text).encode())

@@ -13,15 +13,15 @@ from openmm import unit
 
 from openmm_exactrb.runs import Run
 
-#: Files in the folder of a run.
+#: Names of output files in the folder of a run.
 ENERGIES, VOLUME, PICTURE = "energies.csv", "volume.csv", "picture.png"
 
-_FEW = 3  # lines of a table; fewer give no meaningful standard deviation
-_TEMPERATURES = {"translation": 4, "rotation": 5}  # the columns of `EnergyReporter`
+_FEW = 3  # smallest number of lines of a table for which a standard deviation is reported
+_TEMPERATURES = {"translation": 4, "rotation": 5}  # indices of columns of `EnergyReporter`
 
 
 def summary(simulation: Any, job: Run, ensemble: str) -> Iterator[str]:
-    """Yield the lines of the summary of a run, from the Simulation at its last step."""
+    """Yield the lines that summarise a run, given its Simulation after the last step."""
     integrator = simulation.integrator
     table, (bodies, _) = _table(job.folder / ENERGIES), integrator.bodyState()
     length = simulation.currentStep * integrator.getStepSize().value_in_unit(unit.picosecond)
@@ -63,7 +63,7 @@ def draw(folder: Path, ensemble: str) -> None:
 
 
 def _temperatures(table: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-    """Return the temperatures of translation and rotation, omitting a motion without degrees of freedom."""
+    """Return the translational and rotational temperatures, except those without degrees of freedom."""
     return {name: table[:, k] for name, k in _TEMPERATURES.items() if not np.isnan(table[:, k]).any()}
 
 

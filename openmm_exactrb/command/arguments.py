@@ -22,7 +22,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def _option(convert: Callable[[str], Any], fits: Callable[[Any], bool], description: str) -> Callable[[str], Any]:
-    """Return an argparse type that converts text, and accepts values within a range."""
+    """Return an argparse type that converts text and accepts only values within a range."""
 
     def checked(text: str) -> Any:
         try:
@@ -63,13 +63,15 @@ def flag(name: str) -> str:
 
 
 def time_with_unit(text: str) -> float:
-    """Return a positive time in ps from text with a unit."""
+    """Convert text with a unit to a positive time in ps."""
     value = float(time(text))
     if not text.strip()[-1].isalpha():
-        raise argparse.ArgumentTypeError(f"{text!r} has no unit: write {text}fs for femtoseconds, or {text}ps")
+        raise argparse.ArgumentTypeError(
+            f"{text!r} has no unit: write {text}fs for femtoseconds, or {text}ps for picoseconds"
+        )
     return value
 
 
 def time_or_auto(text: str) -> float | None:
-    """Return a positive time in ps from text with a unit, or None for "auto"."""
+    """Convert text with a unit to a positive time in ps, or "auto" to None."""
     return None if text == "auto" else time_with_unit(text)

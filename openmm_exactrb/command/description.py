@@ -1,4 +1,4 @@
-"""The description of a System by ``exactrb info FILE``: contents, motion and suitable step sizes."""
+"""The description of a System that ``exactrb info FILE`` prints: its contents, motion and suitable step sizes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from openmm_exactrb.multiple_time_steps.stiffness import frequencies
 from openmm_exactrb.schemes import splitting
 from openmm_exactrb.tuning.floor import causes
 
-_SHOWN = 3  # largest number of periods in the description
+_SHOWN = 3  # largest number of periods that are printed
 _WATER = 18.015  # mass of a water molecule in amu
 
 
@@ -36,7 +36,7 @@ def described(
     ----------
     system : openmm.System
     positions : Quantity, optional
-        Positions (n_particles, 3). Without positions, shapes follow from constraints alone.
+        Positions (n_particles, 3). Without positions, the constraints alone determine the shapes of bodies.
     topology : openmm.app.Topology, optional
         Topology from which the names of atoms and residues are taken.
     """
@@ -64,7 +64,7 @@ def described(
 
 
 def _found(system: openmm.System, positions: unit.Quantity | None) -> tuple[RigidBodies, list[str]]:
-    """Return the bodies and the warnings of a first step; without positions, the bodies that constraints determine."""
+    """Return the bodies and warnings of a first step or, without positions, the bodies that constraints define."""
     if positions is None:
         return find_bodies(system, np.random.default_rng(1).standard_normal((system.getNumParticles(), 3))), []
     integrator = ExactRigidBodyIntegrator(0.001)
@@ -86,7 +86,7 @@ class _Names:
         self._residues = [atom.residue.name for atom in atoms] or n * [""]
 
     def joined(self, particles: Iterable[int]) -> str:
-        """Return the names of given particles."""
+        """Return the names of given particles, separated by commas."""
         return ", ".join(self._atoms[i] for i in particles)
 
     def residues(self, particles: NDArray[np.integer[Any]]) -> str:
@@ -149,7 +149,7 @@ def _bodies(bodies: RigidBodies, names: _Names) -> Iterator[str]:
 
 
 def _periods(system: openmm.System, names: _Names) -> Iterator[str]:
-    """Yield a line with the shortest periods of bonds and angles, in which each frequency occurs once."""
+    """Yield a line with the shortest distinct periods of bonds and angles."""
     distinct: dict[float, tuple[int, ...]] = {}
     for some, particles in frequencies(system):
         for frequency, own in zip(some.tolist(), particles.tolist(), strict=True):
@@ -164,7 +164,7 @@ def _periods(system: openmm.System, names: _Names) -> Iterator[str]:
 
 
 def _advice(system: openmm.System, bodies: RigidBodies) -> Iterator[str]:
-    """Yield settings for constant energy and for constant temperature, if steps were measured for such molecules."""
+    """Yield settings for runs at constant energy and at constant temperature if the System contains rigid water."""
     if not any(len(kind.masses) == 3 and abs(kind.mass - _WATER) < 0.1 for kind in bodies.kinds):
         yield "step: not measured for such molecules; exactrb tune finds one"
         return

@@ -1,4 +1,4 @@
-"""The preparation of a run, performed once and stored: an equilibrated start, and a tuned scheme and step."""
+"""The preparation of a run: an equilibrated initial State and a tuned scheme and step, determined once and stored."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from openmm_exactrb.thermostats import ExactRigidBodyLangevinIntegrator
 from openmm_exactrb.tuning.advice import CANDIDATES, progress, tune
 from openmm_exactrb.tuning.preparation import heat, minimise
 
-#: Files in the folder of a run: the start, and the tuned scheme and step.
+#: Files in the folder of a run that contain the initial State, and the tuned scheme and step.
 START, STEP = "start.xml", "step.json"
 
-# Length of the equilibration without --equilibrate: a fraction of --duration, and at most this time in ps.
+# Without --equilibrate, the equilibration lasts this fraction of --duration, but at most this time in ps.
 _PART, _LONGEST = 0.2, 5.0
 
 
 def claim(job: Run, args: argparse.Namespace, files: Iterable[str]) -> None:
-    """Prepare the folder of a locked run: delete overwritten files, and raise FileExistsError for files of other runs.
+    """Delete files that a locked run overwrites from its folder, and raise FileExistsError for files of other runs.
 
-    The run writes `files` in addition to the files of this module. A run that is resumed without a checkpoint creates
-    the files of this module again.
+    The run writes `files` in addition to `START` and `STEP`. A run that is resumed without a checkpoint creates `START`
+    and `STEP` again.
     """
     if job.resuming:
         return
@@ -48,9 +48,9 @@ def claim(job: Run, args: argparse.Namespace, files: Iterable[str]) -> None:
 
 
 def start_of(job: Run, args: argparse.Namespace, box: Box, platform: openmm.Platform) -> openmm.State:
-    """Return the State at step 0: the user's State, or an equilibrated one.
+    """Return the State at step 0, which is the user's State or an equilibrated State.
 
-    A start without velocities is minimised, given velocities, and equilibrated for the time in ``--equilibrate``.
+    Positions without velocities are minimised, given velocities, and equilibrated for the time in ``--equilibrate``.
     """
     if job.resuming:
         return read_xml(job.folder / START, openmm.State)
@@ -74,7 +74,7 @@ def step_of(
     options = {"target": args.target, "schemes": candidates(args), "budget": args.budget}
     result = tune(box.system, start, platform=platform, report=report, **options)
     if result.chosen is None:
-        raise ValueError(f"{str(result).splitlines()[-1].rstrip('.')}: pass a larger --target, or set --step")
+        raise ValueError(f"{str(result).splitlines()[-1].rstrip('.')}: use a larger --target, or set --step")
     if not args.quiet:
         print(result.chosen, file=sys.stderr)
     options, step = result.chosen.options(), result.chosen.step
@@ -83,7 +83,7 @@ def step_of(
 
 
 def candidates(args: argparse.Namespace) -> Sequence[str] | None:
-    """Return the names of the schemes to try, or None for the default; thermostats exclude processed schemes."""
+    """Return the names of the schemes to try, or None for the default. Thermostats exclude processed schemes."""
     if args.scheme is not None:
         return [args.scheme]
     if args.ensemble == "nve":
@@ -108,7 +108,7 @@ def _equilibrated(
     else:
         simulation.context.setPositions(box.positions)
     if not box.moves:
-        flexible = len(integrator.bodyState()[0].clusters) > 0  # OpenMM's minimiser handles clusters
+        flexible = len(integrator.bodyState()[0].clusters) > 0  # only OpenMM's minimiser supports clusters
         if flexible and (why := why_not_by_default(platform.getName())):
             warn(f"{why}: use --platform CPU if this run ends without a message")
         minimise(integrator)

@@ -21,10 +21,13 @@ from openmm_exactrb.states import read_xml
 from openmm_exactrb.support.version import version
 
 #: The purpose of the subcommand, in one sentence.
-PURPOSE = "Print how the molecules of a file move, a step for them and what is not supported, or what is installed."
+PURPOSE = (
+    "Print how the molecules in files move, a suitable step and what is not supported; without files, print what is "
+    "installed."
+)
 
 _INTEGRATORS = [name for name in openmm_exactrb.__all__ if name.endswith("Integrator")]
-# The page "Which integrator, scheme and step" of the documentation describes the uses of these schemes.
+# Schemes whose uses the page "Which integrator, scheme and step" of the documentation describes.
 _RECOMMENDED = ("W2_1", "W4_4", "W2_3m")
 _LIBRARIES = ("numpy", "scipy", "numba", "matplotlib")
 

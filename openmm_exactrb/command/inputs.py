@@ -35,17 +35,17 @@ FILES = (
 DEFAULTS: dict[str, Any] = {"cutoff": 0.9, "ewald_tolerance": 1e-5, "constraints": "none"}
 
 _READERS = dict.fromkeys((".pdb", ".ent"), app.PDBFile) | dict.fromkeys((".cif", ".pdbx", ".mmcif"), app.PDBxFile)
-# Files of positions, which need a topology: readers of positions and of the topology, and a function for the box.
+# For each type of file with positions only: the readers of positions and of a topology, and a function for the box.
 _AMBER = app.AmberInpcrdFile, app.AmberPrmtopFile, attrgetter("boxVectors")
 _GROMACS = app.GromacsGroFile, app.GromacsTopFile, methodcaller("getPeriodicBoxVectors")
 _POSITIONS: dict[str, tuple[Any, Any, Callable[[Any], Any]]]
 _POSITIONS = {".gro": _GROMACS, ".inpcrd": _AMBER, ".rst7": _AMBER, ".crd": _AMBER}
-_SWITCH = 0.1 * unit.nanometer  # width of the switch: a jump of the force at the cutoff would heat the system
+_SWITCH = 0.1 * unit.nanometer  # width of the switching function, which prevents heating by a jump of the force
 
 
 @dataclass(frozen=True)
 class Box:
-    """The molecules of a run, and the State from which the start was read, if any."""
+    """The molecules of a run, and the State from which they were read, if any."""
 
     topology: app.Topology
     system: openmm.System
@@ -54,7 +54,7 @@ class Box:
 
     @property
     def moves(self) -> bool:
-        """Whether the start has nonzero velocities."""
+        """Whether the initial state has nonzero velocities."""
         if self.state is None or not self.state.getDataTypes() & openmm.State.Velocities:
             return False
         return bool(np.any(self.state.getVelocities(asNumpy=True)._value))
@@ -62,23 +62,35 @@ class Box:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments for files and molecules, whose values are None unless given."""
-    positive, shown = arguments.positive, {name: f"({of})" for name, of in DEFAULTS.items()}
+    positive, shown = arguments.positive, {name: f"(default: {of})" for name, of in DEFAULTS.items()}
     add = parser.add_argument_group("molecules").add_argument
-    files = "PDB or PDBx; system.xml and state.xml of OpenMM; prmtop and inpcrd of Amber; top and gro of GROMACS"
+    files = (
+        "a PDB or PDBx file, or two files: system.xml and state.xml of OpenMM, prmtop and inpcrd of Amber, or top "
+        "and gro of GROMACS"
+    )
     add("files", nargs="*", type=Path, metavar="FILE", help=files)
-    add("--forcefield", nargs="+", default=[], metavar="FILE", help="force field files, as openmm.app.ForceField takes")
-    add("--solvate", type=arguments.count, metavar="N", help="add N molecules of water; water alone without a file")
-    water = "water model of --solvate (the one that a force field is named after)"
+    add("--forcefield", nargs="+", default=[], metavar="FILE", help="force field files for openmm.app.ForceField")
+    add(
+        "--solvate",
+        type=arguments.count,
+        metavar="N",
+        help="add N water molecules; without FILE, create a box of N water molecules",
+    )
+    water = "water model of --solvate (default: the model in the name of a force field file)"
     add("--water", **arguments.one_of(WATERS), help=water)
     add("--cutoff", type=positive, metavar="NM", help=f"cutoff of PME in a periodic box, nm {shown['cutoff']}")
-    add("--ewald-tolerance", type=positive, metavar="X", help=f"ewaldErrorTolerance {shown['ewald_tolerance']}")
-    add("--constraints", **arguments.one_of(CONSTRAINTS), help=f"in addition to rigid water {shown['constraints']}")
-    heavy = "mass of all hydrogens, taken from the atoms that they are bonded to"
+    add("--ewald-tolerance", type=positive, metavar="X", help=f"ewaldErrorTolerance of PME {shown['ewald_tolerance']}")
+    add(
+        "--constraints",
+        **arguments.one_of(CONSTRAINTS),
+        help=f"constraints in addition to rigid water {shown['constraints']}",
+    )
+    heavy = "mass of each hydrogen atom, amu; the increase is subtracted from the bonded heavier atom"
     add("--hydrogen-mass", type=positive, metavar="AMU", help=heavy)
 
 
 def with_defaults(args: argparse.Namespace, others: Mapping[str, Any] | None = None) -> argparse.Namespace:
-    """Return the options, with the defaults of molecules and of `others` for options that were not given."""
+    """Return the options, with values from `DEFAULTS` and `others` for options that were not given."""
     named = {name: value for name, value in vars(args).items() if value is not None}
     return argparse.Namespace(**vars(args) | {"seed": 1} | DEFAULTS | dict(others or {}) | named)
 
@@ -87,22 +99,26 @@ def check_idle(args: argparse.Namespace, box: Box, others: Iterable[tuple[bool, 
     """Raise ValueError if a given option has no effect; `others` are further conditions, options and reasons."""
     unboxed = box.topology.getPeriodicBoxVectors() is None
     idle = [
-        (box.state is not None, "constraints cutoff ewald_tolerance water", "a System has its forces and constraints"),
-        (unboxed, "cutoff ewald_tolerance", "there is no cutoff without a periodic box"),
-        (not args.solvate, "water", "it is the water of --solvate"),
+        (
+            box.state is not None,
+            "constraints cutoff ewald_tolerance water",
+            "because the System already contains forces and constraints",
+        ),
+        (unboxed, "cutoff ewald_tolerance", "without a periodic box"),
+        (not args.solvate, "water", "without --solvate"),
         *others,
     ]
     for applies, names, reason in idle:
         for name in names.split():
             if applies and getattr(args, name) is not None:
-                raise ValueError(f"omit --{name.replace('_', '-')}: {reason}")
+                raise ValueError(f"--{name.replace('_', '-')} has no effect {reason}: omit --{name.replace('_', '-')}")
 
 
 def load(args: argparse.Namespace) -> Box:
     """Return the molecules that the options of ``exactrb run`` describe; raise ValueError if they are inconsistent."""
     if not args.files and not args.solvate:
         raise ValueError(
-            f"exactrb {args.command} needs molecules: give {FILES}, or --solvate 216 for a box of 216 water molecules"
+            f"exactrb {args.command} needs molecules: pass {FILES}, or --solvate 216 for a box of 216 water molecules"
         )
     for file in args.files:
         if not file.exists():
@@ -113,10 +129,13 @@ def load(args: argparse.Namespace) -> Box:
     if len(kinds) == 2 and set(kinds) & set(_POSITIONS):
         return _with_topology(args, *sorted(args.files, key=lambda file: file.suffix.lower() in _POSITIONS))
     if len(kinds) > 1 or not all(kind in _READERS for kind in kinds):
-        raise ValueError(f"cannot use {' '.join(map(str, args.files))}: give {FILES}, or --solvate without a file")
+        raise ValueError(
+            f"exactrb cannot read molecules from {' '.join(map(str, args.files))}: pass {FILES}, or use --solvate "
+            "without a file"
+        )
     if not args.forcefield:
-        what = f"{args.files[0]} has no forces" if kinds else "water has several models"
-        raise ValueError(f"{what}: name the force field, such as --forcefield tip4pew.xml")
+        what = f"{args.files[0]} contains no force field" if kinds else "--solvate needs a force field"
+        raise ValueError(f"{what}: add --forcefield and its files, such as --forcefield tip4pew.xml")
     force_field = _understood("the force field", app.ForceField, *args.forcefield)
     modeller = _read(args, force_field) if kinds else _water_box(args)
     modeller.addExtraParticles(force_field)
@@ -127,36 +146,42 @@ def load(args: argparse.Namespace) -> Box:
 
 def _serialised(args: argparse.Namespace) -> Box:
     if args.forcefield or args.solvate:
-        raise ValueError("omit --forcefield and --solvate: the System already contains the solvent and the forces")
+        raise ValueError(
+            f"--forcefield and --solvate do not apply to {args.files[0]}, which already contains the solvent and the "
+            "forces: omit both options"
+        )
     if args.hydrogen_mass is not None:
         raise ValueError(
-            "omit --hydrogen-mass: the System already contains masses; change them in Python with heavy_hydrogens() "
-            "before you save the System"
+            f"--hydrogen-mass does not apply to {args.files[0]}, which already contains masses: omit "
+            "--hydrogen-mass, and call heavy_hydrogens() in Python before you save the System"
         )
     system, state = (read_xml(file, kind) for file, kind in zip(args.files, (openmm.System, openmm.State), strict=True))
     if not state.getDataTypes() & openmm.State.Positions:
-        raise ValueError(f"{args.files[1]} has no positions: save it with simulation.saveState")
+        raise ValueError(f"{args.files[1]} contains no positions: save the State with simulation.saveState")
     positions = state.getPositions(asNumpy=True)
     if len(positions) != system.getNumParticles():
         raise ValueError(
-            f"the State in {args.files[1]} has {len(positions)} particles, but the System in {args.files[0]} has "
-            f"{system.getNumParticles()}: give files of the same run"
+            f"the numbers of particles in {args.files[1]} ({len(positions)}) and in {args.files[0]} "
+            f"({system.getNumParticles()}) differ: pass files of the same run"
         )
     return Box(topology_of(system, state), system, positions, state)
 
 
 def _with_topology(args: argparse.Namespace, topology: Path, places: Path) -> Box:
-    """Return the molecules of a topology of Amber or GROMACS, which also contains the forces."""
+    """Return the molecules of an Amber or GROMACS topology, which also defines the forces."""
     if args.forcefield or args.solvate:
-        raise ValueError(f"omit --forcefield and --solvate: {topology} already contains the solvent and the forces")
+        raise ValueError(
+            f"--forcefield and --solvate do not apply to {topology}, which already contains the solvent and the "
+            "forces: omit both options"
+        )
     read_start, read_topology, box_of = _POSITIONS[places.suffix.lower()]
     start: Any = _understood(str(places), read_start, str(places))
     vectors = box_of(start)
     content: Any = _understood(str(topology), read_topology, str(topology), periodicBoxVectors=vectors)
     if len(start.positions) != content.topology.getNumAtoms():
         raise ValueError(
-            f"{places} has {len(start.positions)} particles, but {topology} has {content.topology.getNumAtoms()}: give "
-            "files of the same molecules"
+            f"the numbers of particles in {places} ({len(start.positions)}) and in {topology} "
+            f"({content.topology.getNumAtoms()}) differ: pass files of the same molecules"
         )
     system = _system(args, content.createSystem, content.topology, vectors)
     return Box(content.topology, system, start.positions)
@@ -167,7 +192,9 @@ def _read(args: argparse.Namespace, force_field: app.ForceField) -> app.Modeller
     (file,) = args.files
     reader = _READERS[file.suffix.lower()]
     if reader is app.PDBFile and "\nEND" not in file.read_text(encoding="utf-8", errors="replace"):
-        raise ValueError(f"{file} has no END line, so it is truncated or not a PDB file: give a complete PDB file")
+        raise ValueError(
+            f"{file} contains no END line, so the file is truncated or is not a PDB file: pass a complete PDB file"
+        )
     content = _understood(str(file), reader, str(file))
     modeller = app.Modeller(content.topology, content.positions)
     if args.solvate:
@@ -185,12 +212,15 @@ def _water_box(args: argparse.Namespace) -> app.Modeller:
 
 
 def _water(args: argparse.Namespace) -> str:
-    """Return the requested water model, or the one that a force field file is named after."""
+    """Return the requested water model, or the water model that the name of a force field file contains."""
     if args.water is not None:
         return str(args.water)
     named = [model for model in WATERS for file in args.forcefield if model in Path(file).stem]
     if not named:
-        raise ValueError(f"the water model is unknown: add --water with one of {', '.join(WATERS)}")
+        raise ValueError(
+            "no force field file is named after a water model, which --solvate needs: add --water with one of "
+            f"{', '.join(WATERS)}"
+        )
     return named[0]
 
 
@@ -202,7 +232,7 @@ def _system(
         width = min(vectors[i][i].value_in_unit(unit.nanometer) for i in range(3))
         if args.cutoff > 0.5 * width:
             raise ValueError(
-                f"--cutoff {args.cutoff:g} is more than half the width of the box, {width:.3g} nm: "
+                f"--cutoff must be at most half the width of the box, {0.5 * width:.6g} nm, not {args.cutoff:g} nm: "
                 "use a smaller cutoff or a larger box"
             )
         options = {
@@ -225,7 +255,7 @@ def _system(
 
 
 def _understood(what: str, function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
-    """Call a function of openmm.app, and turn its exceptions other than OSError into ValueError."""
+    """Call a function of openmm.app, and convert its exceptions other than OSError to ValueError."""
     try:
         return function(*arguments, **options)
     except OSError:
@@ -250,9 +280,9 @@ def topology_of(system: openmm.System, state: openmm.State) -> app.Topology:
     context.setPositions(state.getPositions())
     molecules = context.getMolecules()
     in_order = [i for molecule in molecules for i in molecule]
-    if in_order != list(range(system.getNumParticles())):  # a Topology requires this order
+    if in_order != list(range(system.getNumParticles())):  # a Topology lists one molecule after another
         raise ValueError(
-            "the particles of different molecules are interleaved in the System: give a PDB or PDBx file instead"
+            "the particles of different molecules are interleaved in the System: pass a PDB or PDBx file instead"
         )
     topology = app.Topology()
     chain = topology.addChain()

@@ -1,4 +1,4 @@
-"""The command ``exactrb``: its subcommands, and its one-line error messages."""
+"""The command ``exactrb``, with its subcommands and one-line error messages."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Execute a command line, by default that of the process, and return its exit status.
 
     The exit status is 0 on success, 1 if `exactrb tune` misses its target, 2 after an error, 130 after Ctrl-C, and 141
-    if the reader of the output has ended. Errors are printed as one line on stderr.
+    if the program that reads the output has ended. Errors are printed as one line on stderr.
     """
     args = _parser().parse_args(arguments)
     with warnings.catch_warnings():
@@ -54,9 +54,9 @@ def _status(args: argparse.Namespace) -> int:
         return 2
     except (KeyboardInterrupt, SystemError) as error:
         if isinstance(error, SystemError) and not isinstance(error.__cause__, KeyboardInterrupt):
-            raise  # otherwise OpenMM's wrapper converted the KeyboardInterrupt of Ctrl-C
-        again = "; to resume it, repeat the command with --resume" if args.command == "run" else ""
-        begin = "\n" if sys.stderr.isatty() else ""  # ends the line of ^C, or of a progress bar
+            raise  # not the SystemError to which OpenMM's wrapper converts the KeyboardInterrupt of Ctrl-C
+        again = "; to resume the run, repeat the command with --resume" if args.command == "run" else ""
+        begin = "\n" if sys.stderr.isatty() else ""  # ends the line that shows ^C or a progress bar
         print(f"{begin}exactrb {args.command}: SIGINT: stopped{again}", file=sys.stderr)
         return 128 + signal.SIGINT
 
@@ -64,7 +64,7 @@ def _status(args: argparse.Namespace) -> int:
 def _told(error: Exception) -> str:
     """Return the message of an error as one line, without the error number of an OSError."""
     if isinstance(error, FileNotFoundError) and error.filename:
-        return f"there is no file {error.filename}"
+        return f"the file {error.filename} does not exist"
     if isinstance(error, OSError) and error.filename and error.strerror:
         return f"{error.filename}: {error.strerror}"
     return " ".join(str(error).split())

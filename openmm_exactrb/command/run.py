@@ -24,12 +24,16 @@ from openmm_exactrb.thermostats import Langevin
 from openmm_exactrb.tuning.advice import BUDGET, CANDIDATES
 
 #: The purpose of the subcommand, in one sentence.
-PURPOSE = "Run a simulation: trajectory, energies and a picture in a folder; --resume continues it after any accident."
+PURPOSE = (
+    "Run a simulation, and write a trajectory, energies and a picture to a folder; --resume continues an "
+    "interrupted run."
+)
 
 _TRAJECTORIES = {"dcd": app.DCDReporter, "xtc": app.XTCReporter}
-# Options that may differ when a run is resumed: files and force field are compared through the System that they define.
+# Options that may differ when a run is resumed. Files and the force field are compared through the System that they
+# define.
 _FREE = ("command", "duration", "files", "forcefield", "picture", "quiet")
-# Defaults of options that raise an error in runs on which they have no effect.
+# Defaults of options that raise an error if a run does not use them.
 _DEFAULTS: dict[str, Any] = {
     "temperature": 300.0,
     "friction": 1.0,
@@ -43,40 +47,68 @@ _DEFAULTS: dict[str, Any] = {
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments of ``exactrb run``."""
     inputs.add_options(parser)
-    times, positive, shown = arguments.time, arguments.positive, {name: f"({of})" for name, of in _DEFAULTS.items()}
-    add = parser.add_argument_group("dynamics").add_argument
+    _add_dynamics(parser.add_argument_group("dynamics").add_argument)
+    Run.add_options(parser, "out/run")
+    add = parser.add_argument
+    trajectory = arguments.one_of(_TRAJECTORIES)
+    add("--trajectory", **trajectory, default="dcd", help="trajectory format (default: %(default)s)")
+    interval = "time between frames, and between lines of energies, ps (default: %(default)s)"
+    add("--interval", type=arguments.time, default=0.1, metavar="T", help=interval)
+    add("--no-picture", dest="picture", action="store_false", help="draw no picture at the end")
+    add("--quiet", action="store_true", help="print only errors on stderr")
+
+
+def _add_dynamics(add: Callable[..., Any]) -> None:
+    """Add the arguments of the ensemble, the times and the integrator."""
+    positive, shown = arguments.positive, {name: f"(default: {of})" for name, of in _DEFAULTS.items()}
     ensembles = arguments.one_of(setup.ENSEMBLES)
-    add("--ensemble", **ensembles, default="nve", help="constant energy, temperature or pressure (%(default)s)")
-    add("--temperature", type=positive, metavar="K", help=f"K {shown['temperature']}")
-    add("--friction", type=positive, metavar="X", help=f"of nvt and npt, 1/ps {shown['friction']}")
-    add("--pressure", type=positive, metavar="BAR", help=f"of npt, bar {shown['pressure']}")
-    offset = "averages.csv of a run at constant volume, which corrects the pressure of the barostat for the step size"
+    add(
+        "--ensemble",
+        **ensembles,
+        default="nve",
+        help="constant energy, temperature, or temperature and pressure (default: %(default)s)",
+    )
+    add("--temperature", type=positive, metavar="K", help=f"temperature, K {shown['temperature']}")
+    add("--friction", type=positive, metavar="X", help=f"friction of nvt and npt, 1/ps {shown['friction']}")
+    add("--pressure", type=positive, metavar="BAR", help=f"pressure of npt, bar {shown['pressure']}")
+    offset = (
+        "averages.csv of a run at constant volume, from which the step-size error of the barostat's pressure is "
+        "corrected"
+    )
     add("--pressure-offset", metavar="CSV", help=offset)
-    add("--duration", type=times, default=10.0, metavar="T", help="ps, or with a unit: 1ns (%(default)s)")
+    add(
+        "--duration",
+        type=arguments.time,
+        default=10.0,
+        metavar="T",
+        help="length of the run, in ps, or with a unit such as 1ns (default: %(default)s)",
+    )
     add(
         "--step",
         type=arguments.time_or_auto,
         metavar="T",
-        help="step of the scheme, with its unit (4fs); auto tunes it (auto)",
+        help="time step with a unit such as 4fs, or auto to tune the step (default: auto)",
     )
-    between = "time between two force evaluations, with its unit (2fs), instead of --step"
+    between = "time between two force evaluations, with a unit such as 2fs, instead of --step"
     add("--force-interval", type=arguments.time_with_unit, metavar="T", help=between)
-    add("--target", type=positive, metavar="X", help=f"error for auto, kJ/mol per body {shown['target']}")
-    add("--budget", type=positive, metavar="S", help=f"processor time for auto, s {shown['budget']}")
-    add("--scheme", metavar="NAME", help=f"splitting scheme; auto tries {', '.join(CANDIDATES)}")
+    add("--target", type=positive, metavar="X", help=f"energy error for --step auto, kJ/mol per body {shown['target']}")
+    add("--budget", type=positive, metavar="S", help=f"processor time for --step auto, s {shown['budget']}")
+    add("--scheme", metavar="NAME", help=f"splitting scheme; --step auto tries {', '.join(CANDIDATES)}")
     for name, option in setup.OPTIONS:
         add(arguments.flag(name), dest=name, **option)
-    start = "equilibration of a start without velocities, ps, or 5ps (a fifth of --duration, at most 5 ps)"
+    start = (
+        "length of the equilibration of a start without velocities, in ps, or with a unit such as 5ps (default: a "
+        "fifth of --duration, at most 5 ps)"
+    )
     add("--equilibrate", type=arguments.time_or_zero, metavar="T", help=start)
-    add("--seed", type=arguments.seed, default=1, metavar="N", help="of velocities, noise and barostat (%(default)s)")
-    add("--platform", metavar="NAME", help="OpenMM platform (the fastest)")
-
-    Run.add_options(parser, "out/run")
-    add = parser.add_argument
-    add("--trajectory", **arguments.one_of(_TRAJECTORIES), default="dcd", help="format (%(default)s)")
-    add("--interval", type=times, default=0.1, metavar="T", help="between frames and lines, ps (%(default)s)")
-    add("--no-picture", dest="picture", action="store_false", help="draw no picture at the end")
-    add("--quiet", action="store_true", help="print only errors on stderr")
+    add(
+        "--seed",
+        type=arguments.seed,
+        default=1,
+        metavar="N",
+        help="seed of velocities, noise and barostat (default: %(default)s)",
+    )
+    add("--platform", metavar="NAME", help="OpenMM platform (default: the fastest)")
 
 
 def carry_out(args: argparse.Namespace) -> int:
@@ -91,7 +123,7 @@ def carry_out(args: argparse.Namespace) -> int:
     scheme = _scheme_of(args)
     if args.force_interval is not None:
         if args.step is not None:
-            raise ValueError("give --step or --force-interval, not both")
+            raise ValueError("--step and --force-interval exclude each other: omit one of these options")
         args.step = settled.step = args.force_interval * scheme.forces
     platform = platform_of(args.platform)
     box = inputs.load(settled)
@@ -104,12 +136,13 @@ def carry_out(args: argparse.Namespace) -> int:
 
 
 def _scheme_of(args: argparse.Namespace) -> Scheme:
-    """Return the scheme, by default that of the ensemble; raise ValueError if it is unknown or cannot be tuned."""
+    """Return the scheme, by default the one of the ensemble; raise ValueError if it is unknown or cannot be tuned."""
     known, default = (look_up, DEFAULT) if args.ensemble == "nve" else (splitting, Langevin.scheme)
     scheme = known(args.scheme or default)
     if args.step is None and args.force_interval is None and args.scheme in WITH_THERMOSTAT:
         raise ValueError(
-            f"--step auto tunes at constant energy, but {args.scheme} contains a thermostat: give --step a value"
+            f"--step auto tunes at constant energy, but {args.scheme} contains a thermostat: set --step to a time "
+            "such as 4fs"
         )
     return scheme
 
@@ -117,11 +150,11 @@ def _scheme_of(args: argparse.Namespace) -> Scheme:
 def _idle(args: argparse.Namespace, box: inputs.Box) -> list[tuple[bool, str, str]]:
     """Return conditions, each with the options that have no effect under it and the reason."""
     return [
-        (args.ensemble != "npt", "pressure pressure_offset", "only --ensemble npt has one"),
-        (args.ensemble == "nve", "friction", "only --ensemble nvt and npt have one"),
-        (args.step is not None, "target budget", "only --step auto has one"),
-        (box.moves, "equilibrate", "a State with velocities is used unchanged"),
-        (box.moves and args.ensemble == "nve", "temperature", "a State with velocities is used unchanged"),
+        (args.ensemble != "npt", "pressure pressure_offset", "without --ensemble npt"),
+        (args.ensemble == "nve", "friction", "without --ensemble nvt or npt"),
+        (args.step is not None, "target budget", "without --step auto"),
+        (box.moves, "equilibrate", "because a State with velocities is used unchanged"),
+        (box.moves and args.ensemble == "nve", "temperature", "because a State with velocities is used unchanged"),
     ]
 
 
@@ -155,7 +188,7 @@ def _reporters(args: argparse.Namespace) -> dict[str, Callable[..., Any]]:
 
 @contextmanager
 def _progress_bar(name: str, steps: int, quiet: bool) -> Iterator[Callable[[int], object]]:
-    """Yield a function that counts steps in a progress bar on stderr; without tqdm it does nothing."""
+    """Yield a function that counts steps in a progress bar on stderr or, without tqdm, does nothing."""
     try:
         from tqdm import tqdm
     except ModuleNotFoundError:

@@ -20,10 +20,13 @@ from openmm_exactrb.thermostats import ExactRigidBodyLangevinIntegrator
 ENSEMBLES = ("nve", "nvt", "npt")
 #: Arguments of the integrator that are options of ``exactrb run``, each with its argparse arguments.
 OPTIONS: tuple[tuple[str, dict[str, Any]], ...] = (
-    ("rotor", {**arguments.one_of(ROTORS), "default": "exact", "help": "free rotation (%(default)s)"}),
+    (
+        "rotor",
+        {**arguments.one_of(ROTORS), "default": "exact", "help": "method for the free rotation (default: %(default)s)"},
+    ),
 )
 _REMOVER = "CMMotionRemover"
-_MOVE = 0.05  # ps between two moves of the barostat for any step size, which is OpenMM's default of 25 steps of 2 fs
+_MOVE = 0.05  # time in ps between two barostat moves for any step size, equal to OpenMM's default of 25 steps of 2 fs
 
 
 def couple(system: openmm.System, args: argparse.Namespace) -> None:
@@ -31,13 +34,13 @@ def couple(system: openmm.System, args: argparse.Namespace) -> None:
     others = [name for force in system.getForces() if (name := type(force).__name__) in UPDATES and name != _REMOVER]
     if others:
         raise ValueError(
-            f"the System already contains {', '.join(others)}, but --ensemble nvt adds a thermostat, and npt a "
-            f"thermostat and a barostat: remove {', '.join(others)} from the System"
+            f"the System already contains {', '.join(others)}, but --ensemble determines the thermostat and the "
+            f"barostat of the run: remove {', '.join(others)} from the System"
         )
     if args.ensemble != "npt":
         return
     if not system.usesPeriodicBoundaryConditions():
-        raise ValueError("--ensemble npt needs a periodic box: give a file with a box, or --solvate")
+        raise ValueError("--ensemble npt needs a periodic box: pass a file with a box, or use --solvate")
     barostat = openmm.MonteCarloBarostat(args.pressure * unit.bar, args.temperature * unit.kelvin)
     barostat.setRandomNumberSeed(args.seed)
     system.addForce(barostat)
@@ -53,7 +56,7 @@ def pace(system: openmm.System, step: float) -> None:
 def correct_pressure(
     system: openmm.System, file: str | None, integrator: ExactRigidBodyIntegrator, temperature: float
 ) -> None:
-    """Add the offset in a file to the pressure of the barostat; raise ValueError if the file is for other settings."""
+    """Add the offset from a file to the barostat's pressure; raise ValueError if the file is for other settings."""
     if file is None:
         return
     offset = pressure_offset(file)
@@ -61,9 +64,9 @@ def correct_pressure(
     theirs, own = (offset.scheme, offset.step, offset.temperature), (scheme, step, temperature)
     if theirs[0] != scheme or not np.allclose(theirs[1:], own[1:], rtol=1e-9):
         raise ValueError(
-            f"the pressure offset of {file} is for {theirs[0]} with a step of {theirs[1]:g} ps at {theirs[2]:g} K, but "
-            f"this run has {own[0]} with a step of {own[1]:g} ps at {own[2]:g} K: give the averages.csv of a run at "
-            "constant volume with the same scheme, step and temperature as this run"
+            f"the pressure offset of {file} is for {theirs[0]} with a step of {theirs[1]:g} ps at {theirs[2]:g} K, "
+            f"but this run has {own[0]} with a step of {own[1]:g} ps at {own[2]:g} K: pass the averages.csv of a run "
+            "at constant volume with the same scheme, step and temperature as this run"
         )
     for force in system.getForces():
         if isinstance(force, openmm.MonteCarloBarostat):

@@ -19,20 +19,42 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     inputs.add_options(parser)
     positive, time = arguments.positive, arguments.time
     add = parser.add_argument_group("tuning").add_argument
-    add("--target", type=positive, metavar="X", help="target standard deviation of the energy, kJ/mol per body")
-    add("--schemes", nargs="+", metavar="NAME", help=f"instead of {', '.join(CANDIDATES)}")
+    add("--target", type=positive, metavar="X", help="target standard deviation of the total energy, kJ/mol per body")
+    add("--schemes", nargs="+", metavar="NAME", help=f"schemes to try (default: {', '.join(CANDIDATES)})")
     add(
         "--temperature",
         type=positive,
         metavar="K",
-        help=f"temperature of a start without velocities, K ({_TEMPERATURE:g})",
+        help=f"temperature to which the start is brought, K (default without velocities: {_TEMPERATURE:g})",
     )
-    add("--horizon", type=time, metavar="T", help="length of the runs for which errors hold, ps, or 30ps")
-    add("--budget", type=positive, default=BUDGET, metavar="S", help="seconds of processor time (%(default)g)")
-    add("--duration", type=time, metavar="T", help="length of the survey runs (from the forces and the budget)")
-    add("--seed", type=arguments.seed, default=1, metavar="N", help="of velocities and noise (%(default)s)")
-    add("--platform", metavar="NAME", help="OpenMM platform (the fastest)")
-    add("--quiet", action="store_true", help="print no line per run")
+    add(
+        "--horizon",
+        type=time,
+        metavar="T",
+        help="length of the runs for which errors are predicted, in ps, or with a unit such as 30ps",
+    )
+    add(
+        "--budget",
+        type=positive,
+        default=BUDGET,
+        metavar="S",
+        help="limit on the processor time, s (default: %(default)g)",
+    )
+    add(
+        "--duration",
+        type=time,
+        metavar="T",
+        help="length of the survey runs, in ps, or with a unit (default: from the forces and the budget)",
+    )
+    add(
+        "--seed",
+        type=arguments.seed,
+        default=1,
+        metavar="N",
+        help="seed of velocities and noise (default: %(default)s)",
+    )
+    add("--platform", metavar="NAME", help="OpenMM platform (default: the fastest)")
+    add("--quiet", action="store_true", help="do not print a line for each run")
 
 
 def carry_out(args: argparse.Namespace) -> int:

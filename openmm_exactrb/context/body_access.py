@@ -63,9 +63,9 @@ class BodyAccess:
     def degreesOfFreedom(self) -> tuple[int, int]:
         """Return the numbers of translational and of rotational degrees of freedom.
 
-        A linear body has two rotational degrees of freedom, and a particle has zero. With a CMMotionRemover, three
-        translational degrees of freedom are subtracted, whatever its interval, because temperatures describe the motion
-        relative to the centre of mass.
+        A linear body has two rotational degrees of freedom, and a single particle has zero. With a CMMotionRemover,
+        three translational degrees of freedom are subtracted, whatever its interval, because temperatures describe the
+        motion relative to the centre of mass.
         """
         return freedom_of(self._up_to_date())
 
@@ -121,7 +121,7 @@ class BodyAccess:
         Parameters
         ----------
         temperature : float or Quantity
-            Temperature, in K if it has no unit.
+            Temperature, in K if given without a unit.
         randomSeed : int, optional
             Seed of the random numbers; by default drawn from the operating system.
 
@@ -145,8 +145,8 @@ class BodyAccess:
         Parameters
         ----------
         tolerance : float or Quantity
-            Largest component of a force at the minimum, in kJ/mol/nm if it has no unit. OpenMM's minimiser limits the
-            root mean square of all components instead.
+            Largest component of a force at the minimum, in kJ/mol/nm if given without a unit. OpenMM's minimiser limits
+            the root mean square of all components instead.
         maxIterations : int, optional
             Largest number of iterations; 0 for no limit.
 
@@ -158,7 +158,7 @@ class BodyAccess:
         NonFiniteError
             If the energy or a force at the start is not finite.
         ArithmeticError
-            If OpenMM's minimiser loses the constraints.
+            If OpenMM's minimiser violates the constraints.
 
         Warns
         -----
@@ -172,8 +172,8 @@ class BodyAccess:
         if len(bodies.clusters):
             if self.getNamedBodies():
                 raise ValueError(
-                    "bodies named by hand cannot be minimised together with flexible molecules with constraints: "
-                    "minimise first, with an integrator without bodies="
+                    "a System that contains flexible molecules with constraints cannot be minimised with bodies "
+                    "given in bodies=: minimise first, with an integrator without bodies="
                 )
             start = sync.held()[0]
             try:
@@ -184,7 +184,7 @@ class BodyAccess:
             except (ValueError, openmm.OpenMMException) as error:
                 sync.context.setPositions(start)
                 raise ArithmeticError(
-                    "OpenMM's minimiser could not satisfy the constraints, and positions are unchanged: remove "
+                    "OpenMM's minimiser could not satisfy the constraints, so the positions are unchanged: remove "
                     "overlaps by short steps at high friction with checkDivergence=False"
                 ) from error
             sync.push()
@@ -217,7 +217,7 @@ class BodyAccess:
         full = state if isinstance(state, State) else State.of(state)
         if any(a.shape != b.shape or not np.isfinite(a).all() for a, b in zip(full, sync.state, strict=True)):
             raise ValueError(
-                "the state must have one row of finite numbers for each body: pass a state that bodyState() returned"
+                "the state must contain one row of finite numbers for each body: pass a state that bodyState() returned"
             )
         if not (np.abs((full.q[0] ** 2).sum(axis=0) - 1.0) < 2e-9).all():
             raise ValueError("orientations must be quaternions of unit length: divide each by its norm")

@@ -81,7 +81,7 @@ class ContextForces(EvaluatedForces):
         return float(found.getPotentialEnergy()._value), *self.positions.bodies.forces(state, arrays.forces(found))
 
     def of(self, groups: int, counter: str = "evaluations") -> ContextForces:
-        """Return the forces of the groups that are also in `groups` (bits)."""
+        """Return the forces of those groups that are also in `groups` (bits)."""
         return ContextForces(self.positions, self.groups & groups, self._timings, counter)
 
     def _potential_energy(self, place: Callable[[State], None], state: State) -> float:
@@ -97,7 +97,7 @@ class ContextForces(EvaluatedForces):
         return self.positions.bodies.forces(state.rounded, arrays.forces(found))
 
     def _asked(self, place: Callable[[State], None], state: State, **kinds: bool) -> Any:
-        """Return OpenMM's State at the positions of a state of the bodies, and count the evaluation."""
+        """Return OpenMM's State at the positions that a state of the bodies defines, and count the evaluation."""
         start = time.perf_counter()
         place(state)
         found = self.positions.context.getState(groups=self.groups, **kinds)
@@ -128,7 +128,7 @@ class SlowGroups(ContextForces):
 class Remainder(EvaluatedForces):
     """All forces minus the fast forces on selected bodies, which are evaluated in a separate Context.
 
-    For any choice of fast forces, the remainder and the fast forces add up to all forces. The System is not modified.
+    For any choice of fast forces, the remainder and the fast forces sum to all forces. The System is not modified.
     """
 
     def __init__(self, forces: ContextForces, fast: ContextForces, part: Part) -> None:

@@ -26,8 +26,8 @@ def of_groups(
     """Return the motion of groups of particles, which must consist of whole bodies and clusters.
 
     If the centre of mass of the System is kept at rest, the motion is relative to this centre. Each group then loses
-    three degrees of freedom times its fraction of the mass. Raise ValueError if a group contains only part of a body or
-    cluster.
+    three translational degrees of freedom times its fraction of the total mass. A ValueError is raised if a group
+    contains only part of a body or cluster.
     """
     lists = checks.lists_of_indices(list(groups.values()), "groups")
     drift = bodies.drift(state.rounded) if removes_motion else None
@@ -46,15 +46,15 @@ def _chosen(bodies: RigidBodies, name: str, particles: list[int]) -> NDArray[np.
     beyond = [k for k in particles if not 0 <= k < bodies.n_particles]
     if beyond:
         raise ValueError(
-            f"group {name!r} contains particle {beyond[0]}, but the System has {bodies.n_particles} particles: name "
-            f"particles from 0 to {bodies.n_particles - 1}"
+            f"the particles of group {name!r} must be numbers from 0 to {bodies.n_particles - 1}, not {beyond[0]}: "
+            "choose particles of the System"
         )
     chosen, owner = bodies.touched(np.array(particles, dtype=np.intp)), bodies.owner
     left_out = np.append(chosen, False)[owner]  # the last entry is for particles in no body
     left_out[particles] = False
     if left_out.any():
         raise ValueError(
-            f"group {name!r} contains only some particles of {bodies.name(int(owner[np.argmax(left_out)]))}: name all "
-            "of its particles, or none"
+            f"group {name!r} contains only some particles of {bodies.name(int(owner[np.argmax(left_out)]))}: name "
+            "all particles of this body, or none"
         )
     return chosen

@@ -1,4 +1,4 @@
-"""Minimisation where OpenMM's minimiser fails: bodies passed as `bodies`, and constraints that it cannot handle."""
+"""Minimisation of Systems on which OpenMM's minimiser fails, because of `bodies` or of unsupported constraints."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import openmm
 from openmm_exactrb.context.solver import solvable
 from openmm_exactrb.openmm_access import arrays
 
-#: OpenMM's own method, which is replaced.
+#: The original method of OpenMM's minimiser, which `minimise_by_integrators` replaces.
 OPENMM = openmm.LocalEnergyMinimizer.minimize
 
 
@@ -31,8 +31,8 @@ def minimise_by_integrators(kind: type[Any]) -> None:
             return
         if reporter is not None:
             raise ValueError(
-                "minimisation with bodies named by hand, or constraints that follow from others, does not support "
-                "reporter=: omit reporter="
+                "reporter= is not supported for bodies given in bodies=, or for constraints that follow from "
+                "others: omit reporter="
             )
         integrator.minimizeEnergy(tolerance, maxIterations)
 

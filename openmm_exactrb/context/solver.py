@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from openmm_exactrb.openmm_access import parameters
 from openmm_exactrb.support.types import Array
 
-# A distance that differs from its constraint by more than this fraction of the length belongs to a split molecule.
+# A distance that differs from the constrained length by more than this fraction of it indicates a split molecule.
 _SPLIT = 0.5
 # Smallest pivot of independent constraints, whose directions are unit vectors.
 _DEPENDENT = 1e-6

@@ -21,15 +21,15 @@ from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.support.types import Array, Indices
 
 # Mixed precision rounds the positions (nm) and velocities (nm/ps) of the Context. A saved state is restored in full
-# precision if these differ from the saved values by at most _SAME plus _SAME_PART times the value.
+# precision if the values in the Context differ from the saved values by at most _SAME plus _SAME_PART times the value.
 _SAME, _SAME_PART = 1e-13, 3e-14
-# Particles farther than this (nm) from their positions in rigid bodies are moved to these positions in the Context too.
+# Particles farther than this distance (nm) from their rigid-body positions are also moved in the Context.
 _RIGID = 1e-9
-# An inner state is kept if centres (nm), orientations, velocities (nm/ps) and angular velocities (1/ps) change by at
-# most this number.
+# An inner state is kept if a user changes centres (nm), orientations, velocities (nm/ps) and angular velocities (1/ps)
+# by at most this number.
 _SMALL = 1e-8
-# In a periodic box OpenMM's Reference platform misses pairs of particles with coordinates (nm) that roundoff makes
-# negative.
+# Negative coordinates of at most this size (nm), which are roundoff, are set to zero, because in a periodic box
+# OpenMM's Reference platform would miss pairs of such particles.
 _LOST = 1e-14
 
 
@@ -83,7 +83,7 @@ class Synchronisation:
     """The bodies of a Context and their state.
 
     The object holds only weak references to the Context and the integrator, which own the object. The variables of the
-    integrator carry the full state in checkpoints and States. A ValueError is raised if there are no positions, no
+    integrator store the full state in checkpoints and States. A ValueError is raised if there are no positions, no
     particle can move, or bodies are not supported or do not match the positions. The argument `pairs` is passed to
     `find_bodies`; `bodies` is the result of this function, if known.
 
@@ -91,7 +91,7 @@ class Synchronisation:
     ----------
     bodies : RigidBodies
     state : State
-        The state that the Context shows.
+        The state whose positions and velocities the Context contains.
     inner : State or None
         The state in the inner coordinates of a processed scheme, from which its steps continue.
     memory : Remembered
@@ -140,7 +140,7 @@ class Synchronisation:
 
     @property
     def outdated(self) -> bool:
-        """Whether the Context is gone or was reinitialised, so that masses, constraints and forces may have changed."""
+        """Whether the Context was deleted or reinitialised, so that masses, constraints and forces may have changed."""
         return self._outdated or self._context() is None
 
     def _outlive(self) -> None:
@@ -151,7 +151,7 @@ class Synchronisation:
             self.new_trajectory()
 
     def pull(self) -> bool:
-        """Update the state with changes to the Context since the last push; return whether the state changed.
+        """Update the state with changes made to the Context since the last push; return whether the state changed.
 
         Positions that deviate from rigid bodies by more than 1e-9 nm, or that the periodic box has split, are also
         corrected in the Context.
@@ -194,7 +194,7 @@ class Synchronisation:
         return arrays.periodic_box(self.context)
 
     def compared(self, known: State, x: Array, v: Array) -> State:
-        """Return a known state, with bodies refitted if their particles have other positions or velocities."""
+        """Return a known state, with bodies refitted if positions or velocities of their particles differ."""
         bodies, rounded = self.bodies, known.rounded
         moved = _differs(bodies, x, bodies.positions(rounded, x.copy()), *self._same)
         pushed = _differs(bodies, v, bodies.velocities(rounded, v.copy()), *self._same)
@@ -207,15 +207,15 @@ class Synchronisation:
         return known.renewed(refit(self.bodies, known.rounded, x, v, moved, pushed))
 
     def _follow(self, before: State, after: State) -> None:
-        """Apply a user's change to the inner state too, by addition if the change is below the errors of the output.
+        """Apply a user's change to the inner state too, by addition if the change is less than the output error.
 
-        After a larger change the processor recomputes the inner state from the true state.
+        After a larger change, the processor recomputes the inner state from the true state.
         """
         if self.inner is None or after is before:
             return
         changes = [(new - old).sum(axis=0) for new, old in zip(after, before, strict=True)]
         atoms = np.arange(len(self.bodies.mass))[self.bodies.clustered]
-        atoms = atoms[changes[1][:, atoms].any(axis=0)]  # momenta lost along constraints are no change by the user
+        atoms = atoms[changes[1][:, atoms].any(axis=0)]  # the projection onto constraints is no change by a user
         changes[1][:, atoms] = (after.rounded.P - self.bodies.tangent(before.rounded).P)[:, atoms]
         sizes = (self.bodies.mass, self.bodies.inertia.T)
         small = all(map(_is_small, changes, (1.0, sizes[0], 1.0, sizes[1])))
@@ -228,7 +228,7 @@ class Synchronisation:
         self._seen = self.held()
 
     def inner_in(self, coordinates: float) -> State | None:
-        """Return the inner state if it is in the coordinates with this mark, otherwise None."""
+        """Return the inner state if its coordinates have this mark, otherwise None."""
         return self.inner if self._coordinates == coordinates else None
 
     def keep(self, inner: State | None, coordinates: float = 0.0, memory: Remembered = ([], [])) -> None:
@@ -241,7 +241,7 @@ class Synchronisation:
         return variables.written(variables.own_numbers(self._integrator()))
 
     def saved(self, x: Array, v: Array) -> State | None:
-        """Return the state from a loaded checkpoint or State, if any; x and v are positions and velocities."""
+        """Return the state from a loaded checkpoint or State, if any, given positions x and velocities v."""
         return variables.read(self._integrator(), self.bodies)
 
     def _read_inner(self) -> None:
@@ -294,7 +294,7 @@ class Synchronisation:
 def require_positions(context: openmm.Context) -> None:
     """Raise ValueError if positions were never set.
 
-    OpenMM performs this check when forces are requested, even for no force group.
+    OpenMM performs this check when forces are requested, even if no force group is selected.
     """
     try:
         context.getState(forces=True, groups=0)

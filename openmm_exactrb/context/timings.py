@@ -18,8 +18,8 @@ class Timings:
     total : float
         Total time inside step().
     evaluations : int
-        Number of evaluations by OpenMM, except for nested forces. An evaluation computes forces, with or without the
-        energy, or only the energy, as for barostats, the Metropolis test and occasionally the divergence check.
+        Number of evaluations by OpenMM, excluding those of forces nested in the drifts. An evaluation computes forces,
+        with or without the energy, or only the energy for a barostat, the Metropolis test or the divergence check.
     fast_evaluations : int
         Number of evaluations of the forces that are nested in the drifts.
     """

@@ -31,7 +31,7 @@ UPDATES = (_THERMOSTAT, _REMOVER, *BAROSTATS)
 
 
 class RemovedMotionWarning(UserWarning):
-    """The removal of momentum that frozen particles transfer causes energy errors of order 1 in the step size."""
+    """The removal of momentum transferred by frozen particles causes energy errors of first order in the step size."""
 
 
 class ContextUpdates:
@@ -45,7 +45,7 @@ class ContextUpdates:
     moves, pushes : bool
         Whether a barostat moves bodies, and whether a thermostat changes their momenta.
     temperatures : dict
-        The names of barostats and thermostats, by the Context parameter that holds their temperature.
+        The names of barostats and thermostats, keyed by the Context parameter that holds their temperature.
     """
 
     def __init__(self, context: openmm.Context, named: Sequence[Sequence[int]]) -> None:
@@ -63,11 +63,11 @@ class ContextUpdates:
         self.temperatures = {force.Temperature(): type(force).__name__ for force in acting}
 
     def hottest(self, context: openmm.Context) -> float:
-        """Return RT (kJ/mol) of the hottest thermostat or barostat, from the present parameters of the Context."""
+        """Return the largest RT (kJ/mol) of thermostats and barostats, from the present parameters of the Context."""
         return max((gas_constant_times(context.getParameter(name)) for name in self.temperatures), default=0.0)
 
     def check_temperatures(self, context: openmm.Context, temperature: float) -> None:
-        """Raise ValueError for a second thermostat, or a barostat at another temperature (K) than the integrator."""
+        """Raise ValueError for a second thermostat, or a barostat at a temperature other than the integrator's (K)."""
         if self.pushes:
             raise ValueError(
                 "the System has an AndersenThermostat, but this integrator also has a thermostat: remove the "
@@ -77,9 +77,8 @@ class ContextUpdates:
             own = context.getParameter(parameter)
             if not math.isclose(own, temperature, rel_tol=1e-9):
                 raise ValueError(
-                    f"the {name} is at {own:g} K, but the integrator is at {temperature:g} K: set the {name} with "
-                    f"context.setParameter({parameter!r}, {temperature:g}), or the integrator with "
-                    f"integrator.setTemperature({own:g})"
+                    f"the temperature of the {name} is {own:g} K, but that of the integrator is {temperature:g} K: "
+                    f"call context.setParameter({parameter!r}, {temperature:g}) or integrator.setTemperature({own:g})"
                 )
 
     @property
@@ -114,7 +113,7 @@ class ContextUpdates:
         return state
 
     def due(self) -> int:
-        """Count a step, and return the number of OpenMM's updates that are due, of which only the last has an effect.
+        """Count a step, and return the number of OpenMM's updates that are due; only the last has an effect.
 
         A barostat of frequency n acts in every n-th update. The other updates have no effect and are deferred.
         """
@@ -150,8 +149,8 @@ class ContextUpdates:
 def conserve_energy(system: openmm.System) -> bool:
     """Return whether the forces of a System are known to conserve its energy.
 
-    A PythonForce that is not of this package may depend on time or have no energy. A force of a plugin, which is a
-    plain Force in Python, may do work.
+    A PythonForce from outside this package may depend on time or have no energy. A force of a plugin, which has the
+    class Force in Python, may do work.
     """
     return not any(
         type(force) is openmm.Force or (isinstance(force, openmm.PythonForce) and force.getName() not in _OURS)
@@ -160,19 +159,19 @@ def conserve_energy(system: openmm.System) -> bool:
 
 
 def warn_of_removed_motion(system: openmm.System) -> None:
-    """Warn of a CMMotionRemover in a System whose frozen particles accelerate the centre of mass of the others."""
+    """Warn of a CMMotionRemover in a System whose frozen particles accelerate the centre of mass of other particles."""
     massless = (i for i in range(system.getNumParticles()) if not system.getParticleMass(i)._value)
     removes = any(isinstance(force, openmm.CMMotionRemover) for force in system.getForces())
     if removes and not all(map(system.isVirtualSite, massless)):
         warn(
             "the CMMotionRemover removes the momentum that frozen particles (mass 0) transfer to the others, which "
-            "causes energy errors of order 1 in the step size: create the System with removeCMMotion=False",
+            "causes energy errors of first order in the step size: create the System with removeCMMotion=False",
             RemovedMotionWarning,
         )
 
 
 def acting_updates(context: openmm.Context) -> list[Any]:
-    """Return the thermostats and barostats of a Context, except those added to its System later, which do not act."""
+    """Return the thermostats and barostats that a Context had when it was created; those added later do not act."""
     known = set(context.getParameters())
     names = (_THERMOSTAT, *BAROSTATS)
     found = [force for force in context.getSystem().getForces() if type(force).__name__ in names]

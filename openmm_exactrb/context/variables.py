@@ -2,8 +2,8 @@
 
 Their names and order define the format of checkpoints. All integrators of the package have the variables of all its
 thermostats, so that an integrator can load a checkpoint or State of another kind of integrator. Variables that only one
-thermostat has are declared last, and change the format. An OpenMM checkpoint contains numbers without names, which
-OpenMM loads into any variables. The first number therefore also identifies the format.
+thermostat has are declared last, and change the format. An OpenMM checkpoint contains numbers without names, and OpenMM
+loads them into the variables of any integrator. The first number therefore also identifies the format.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from openmm_exactrb.mechanics.state import Force, Remembered, State
 _PREFIX = "exactrb_"
 # Per-DOF variables, on the first particle of each body: high parts, then low parts of the double-doubles.
 _VECTORS = tuple(f"{name}{part}" for part in ("", "_low") for name in "RPmqw")
-#: Prefixes of the state that the Context shows, and of that in the inner coordinates of a processed scheme.
+#: Prefixes of the state that the Context shows, and of the state in the inner coordinates of a processed scheme.
 SHOWN, INNER = "", "inner_"
 # Whether the variables hold a state, and whether Python performs a step. Values from _WRITTEN to below _STEPPING mean
 # that the variables hold a state, and identify its format; see `written`.
 _STORED = "stored"
 NOTHING, _WRITTEN, _STEPPING, _DEVICE = 0.0, 1.0, 2.0, 4.0
-#: The mark of the coordinates of the inner state (0 without one), and the numbers of forces and of differences of
-#: displaced forces that are stored with it.
+#: The mark of the coordinates of the inner state (0 without an inner state), and the numbers of forces and of
+#: differences of displaced forces that are stored with the inner state.
 COORDINATES, REMEMBERED, DIFFERENCES = "coordinates", "remembered", "differences"
 #: The seed of the noise, and the number of its stream.
 SEED, STREAM = "seed", "stream"
@@ -49,7 +49,7 @@ OTHER_FORMAT = (
 def declare(integrator: openmm.CustomIntegrator, own: Sequence[str] = (), memory: int | None = None) -> None:
     """Give a new integrator its variables, and the program with which OpenMM performs its own part of a step.
 
-    A copy that OpenMM creates, from XML or within a CompoundIntegrator, has no Python part: its steps would advance the
+    A copy that OpenMM creates, from XML or within a CompoundIntegrator, has no Python part. Its steps would advance the
     clock without moving the bodies. Positions and velocities therefore become nan unless Python performs the step.
     `own` lists the names of numbers that only some integrators have. For a processed scheme, which also has an inner
     state, `memory` is the number of stored forces.
@@ -63,7 +63,7 @@ def declare(integrator: openmm.CustomIntegrator, own: Sequence[str] = (), memory
     integrator.addGlobalVariable(stored, NOTHING)
     integrator.beginIfBlock(f"{stored} < {_STEPPING}")
     integrator.addComputePerDof("x", f"x + log({stored} - 3)")
-    # Forces at such positions raise an error on platforms that check positions, unlike Reference.
+    # Forces at nan positions raise an error on platforms that check positions. Reference does not check positions.
     integrator.addComputePerDof("v", f"v + f + log({stored} - 3)")
     integrator.endBlock()
     integrator.addUpdateContextState()
@@ -71,7 +71,7 @@ def declare(integrator: openmm.CustomIntegrator, own: Sequence[str] = (), memory
 
 
 def declare_numbers(integrator: openmm.CustomIntegrator, own: Sequence[str] = ()) -> None:
-    """Give a new integrator the numbers of all integrators, and those named by `own`, with values of zero."""
+    """Give a new integrator the numbers that all integrators have, and those named by `own`, with values of zero."""
     for name in (*_NUMBERS, *own):
         integrator.addGlobalVariable(_PREFIX + name, 0.0)
 
@@ -129,7 +129,7 @@ def step_openmm(integrator: openmm.CustomIntegrator, steps: int) -> None:
 
 
 class Numbers:
-    """Numbers that the substeps of a call change; the changes take effect when the step is kept."""
+    """Numbers that the substeps of a call change; the changes take effect when the step is accepted."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self._names = names
@@ -182,7 +182,7 @@ def read(integrator: openmm.CustomIntegrator, bodies: RigidBodies, which: str = 
     columns = [np.array(value, dtype=np.float64)[first].T for value in values]
     R, P, m, vector, w = np.array(columns).reshape(2, 5, 3, len(first)).swapaxes(0, 1)
     q = np.concatenate([w[:, :1, :k], vector[:, :, :k]], axis=1)
-    if not q[0].any(axis=0).all():  # `reinitialize` keeps numbers, but no vectors
+    if not q[0].any(axis=0).all():  # `reinitialize` keeps numbers, but not vectors
         return None
     return State(*map(np.ascontiguousarray, (R, P, q, m[:, :, :k])))
 

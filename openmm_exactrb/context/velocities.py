@@ -1,7 +1,7 @@
 """``Context.setVelocitiesToTemperature`` for Contexts with an integrator of this package.
 
 OpenMM draws the velocities of particles, and its constraint solver removes their components along the constraints. The
-momenta of rigid bodies are then canonical, because impulses along constraints do not change them. With redundant
+momenta of rigid bodies are then canonical, because constraint impulses leave them unchanged. With redundant
 constraints, however, the solver does not converge, or leaves motions that bend a straight or flat body. The solver
 supports neither molecules that the box has split nor bodies passed as `bodies`. In addition, the centre of mass moves
 until a CMMotionRemover acts.
@@ -26,7 +26,7 @@ _LEFT = 1e-3
 
 
 def draw_by_integrators(kind: type[Any]) -> None:
-    """Let integrators of a class draw velocities, with their method of the same name, where OpenMM fails.
+    """Let integrators of a class draw velocities, with their method of the same name, if OpenMM's solver fails.
 
     The method of all Contexts is replaced, because it may be called before the integrator has found its Context.
     """
@@ -51,7 +51,7 @@ def draw_by_integrators(kind: type[Any]) -> None:
 
 
 def _fit(context: Any, temperature: Any, *_: Any) -> bool:
-    """Return whether OpenMM's solver supports the constraints, and its velocities have no components along them."""
+    """Return whether OpenMM's solver supports the constraints, and leaves no velocity components along them."""
     system, state = context.getSystem(), context.getState(positions=True, velocities=True)
     x, v, masses = arrays.positions(state), arrays.velocities(state), parameters.masses(system)
     if not np.isfinite(v).all() or not solvable(system, x):

@@ -33,7 +33,7 @@ def find_bodies(
     box: Array | None = None,
     pairs: bool = False,
 ) -> RigidBodies:
-    """Find the rigid bodies of a System, which are clusters held rigid by constraints, and its other particles.
+    """Find the rigid bodies of a System, which constraints hold rigid, and its other particles.
 
     The other particles are free, or belong to clusters that constraints do not hold rigid.
 
@@ -43,7 +43,7 @@ def find_bodies(
     positions : (n_particles, 3) array
         Positions in nm, which distinguish a body from its mirror image, and define the shape if constraints do not.
     bodies : sequence of sequences of int, optional
-        Particles of further bodies, whose shapes are those of the positions. Their virtual sites may be included or
+        Particles of further bodies, whose shapes are taken from the positions. Their virtual sites may be included or
         omitted.
     box : (3, 3) array, optional
         Vectors of the periodic box in nm. Bodies that the box has split are joined; see `whole_positions`.
@@ -53,8 +53,8 @@ def find_bodies(
     Raises
     ------
     ValueError
-        If nothing can move, redundant constraints contradict each other, constraints lead out of a body, a named body
-        is invalid, or the System has Drude particles.
+        If nothing can move, redundant constraints contradict each other, a constraint joins a named body to another
+        particle, a named body is invalid, or the System has Drude particles.
     """
     masses = parameters.masses(system)
     _check_drude_particles(system)
@@ -84,7 +84,7 @@ def find_bodies(
         start = stop
     if not kinds:
         raise ValueError(
-            "the System has no particle with mass, so there is nothing to move: set masses with setParticleMass"
+            "the System contains no particle with mass, so nothing can move: set masses with setParticleMass"
         )
     return RigidBodies(kinds, len(masses), clusters)
 
@@ -92,7 +92,8 @@ def find_bodies(
 def _flexible(particles: Indices, masses: Array, distances: Array, positions: Array) -> ClusterKind:
     """Return clusters with given constrained distances (n, n); unconstrained distances are nan.
 
-    Redundant constraints become implied constraints. All lengths are then those of the best fit to all constraints.
+    Redundant constraints are stored as `ClusterKind.implied`. If there are any, all lengths are those of the best fit
+    to all constraints.
     """
     pairs = np.argwhere(np.triu(~np.isnan(distances), 1))
     kind = ClusterKind(particles, masses, pairs, distances[pairs[:, 0], pairs[:, 1]])
@@ -107,8 +108,8 @@ def _flexible(particles: Indices, masses: Array, distances: Array, positions: Ar
         worst = int(np.argmax(missed))
         i, j = particles[0, pairs[worst]]
         raise ValueError(
-            f"the constraint of particles {i} and {j} to {kind.lengths[worst]:g} nm follows from the others of "
-            f"{kind.name(0)}, but contradicts them by {missed[worst]:.2g} nm: correct or remove this constraint"
+            f"the constraint of particles {i} and {j} to {kind.lengths[worst]:g} nm contradicts the other "
+            f"constraints of {kind.name(0)} by {missed[worst]:.2g} nm: correct or remove this constraint"
         )
     x = on_constraints(particles[:1], masses, distances, positions)[particles[:1]]
     lengths = np.linalg.norm(x[0, pairs[:, 0]] - x[0, pairs[:, 1]], axis=1)
@@ -127,13 +128,13 @@ def _check_drude_particles(system: openmm.System) -> None:
         if isinstance(force, openmm.DrudeForce) and force.getNumParticles():
             names = ", ".join(str(force.getParticleParameters(i)[0]) for i in range(min(3, force.getNumParticles())))
             raise ValueError(
-                f"the System has Drude particles ({names}, ...), which need one of OpenMM's Drude integrators: use a "
-                "force field without Drude particles"
+                f"the System contains Drude particles ({names}, ...), which need one of OpenMM's Drude integrators: "
+                "use a force field without Drude particles"
             )
 
 
 def _named_bodies(system: openmm.System, masses: Array, bodies: Sequence[Sequence[int]]) -> list[Indices]:
-    """Return the particles with mass of the bodies that a user named."""
+    """Return the massive particles of the bodies that a user named."""
     owner = checks.owners(bodies, len(masses))
     for particle in map(int, np.flatnonzero((owner >= 0) & (masses == 0.0))):
         if not system.isVirtualSite(particle):
@@ -146,12 +147,12 @@ def _named_bodies(system: openmm.System, masses: Array, bodies: Sequence[Sequenc
         particles = np.array(sorted(body), dtype=np.intp)
         massive = particles[masses[particles] > 0.0]
         if not len(massive):
-            raise ValueError(f"body {number} has no particle with mass: include a particle with mass")
+            raise ValueError(f"body {number} contains no particle with mass: add a particle with mass to this body")
         if len(particles) > 2 * len(massive):
             warn(
                 f"body {number} has the mass and inertia of {len(massive)} particles, because the other "
                 f"{len(particles) - len(massive)} are virtual sites: if createRigidBodies or set_rigid_bodies made "
-                "these sites, create the System without that call, and pass the same bodies=",
+                "these sites, create the System without that call, and pass the same bodies in bodies=",
                 ShapeWarning,
             )
         named.append(massive)
@@ -203,7 +204,7 @@ def _of_one_size(held: Rows, label: Indices, owner: Indices) -> Iterable[tuple[I
 
 def _alike(masses: Array, particles: Indices, distances: Array) -> Iterable[tuple[int, Indices, Array]]:
     """Yield clusters grouped by masses and distances: first particle, particles (N, n), distances (n, n)."""
-    massive = masses[particles].any(axis=1)  # others are frozen, or virtual sites
+    massive = masses[particles].any(axis=1)  # massless particles are frozen, or virtual sites
     particles, distances = particles[massive], distances[massive]
     if not len(particles):
         return

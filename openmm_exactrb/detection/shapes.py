@@ -15,13 +15,14 @@ from openmm_exactrb.support.types import Array, Indices
 _FLAT = 1e-10
 # Particles within this distance (nm) of each other coincide.
 _POINT = 1e-6
-#: Largest deviation from the distances of a body, relative to the largest distance, because files contain rounded
-#: distances.
+#: Largest accepted deviation from the distances of a body, relative to its largest distance. Deviations occur because
+#: files contain rounded distances.
 RESIDUAL = 1e-5
-# Largest number of particles of a flat body with unconstrained distances, and least stress that keeps it flat.
+# Largest number of particles of a flat body with unconstrained distances, and smallest relative eigenvalue of a stress
+# that keeps the body flat.
 _LARGEST_FLAT, _RESISTING = 64, 1e-3
 # Largest number of Newton iterations onto constraints, and the displacement, relative to the longest constraint, below
-# which they end.
+# which the iterations end.
 _NEWTON, _AT_REST = 50, 1e-15
 
 
@@ -40,17 +41,17 @@ def kinds_from_distances(particles: Indices, masses: Array, distances: Array, po
 
 
 def on_constraints(particles: Indices, masses: Array, distances: Array, positions: Array) -> Array:
-    """Return the positions (n_particles, 3) on the constraints that are closest to given ones in the mass metric.
+    """Project positions (n_particles, 3) onto the constraints, to the closest point in the mass metric.
 
-    Newton's method starts from the given positions; bodies without constraints are unchanged. Constraints that are
-    redundant up to rounding are satisfied in the sense of least squares. A ValueError is raised if positions are not
-    finite or Newton's method does not converge.
+    Newton's method starts from the given positions. Bodies without constraints are unchanged. Constraints that are
+    redundant up to rounding errors are satisfied in the least-squares sense. A ValueError is raised if positions are
+    not finite or Newton's method does not converge.
     """
     X = positions[particles]
     if not np.isfinite(X).all():
-        raise ValueError("positions are not finite: set finite positions before the first step")
+        raise ValueError("the positions of some particles are not finite: set finite positions before the first step")
     first, second = np.nonzero(np.triu(~np.isnan(distances), 1))
-    if not len(first):  # without constraints, the shape is that of the positions
+    if not len(first):  # without constraints, the positions define the shape
         return positions
     number, lengths = np.arange(len(first)), distances[first, second]
     gradients = np.zeros((len(X), len(first), len(masses), 3))
@@ -114,7 +115,7 @@ def _joined(kinds: list[Kind]) -> Kind:
 def held_rigid(distances: Array, x: Array) -> bool:
     """Return whether constraints restrict a cluster at positions x (k, 3) to the motions of a rigid body.
 
-    Unconstrained distances in (k, k) are nan; in a body of `bodies=`, all distances are constrained.
+    Unconstrained entries of `distances` (k, k) are nan. In a body passed as `bodies`, all distances are constrained.
     """
     i, j = np.nonzero(np.triu(~np.isnan(distances), 1))
     every = len(i) == len(x) * (len(x) - 1) // 2
@@ -136,10 +137,10 @@ def held_rigid(distances: Array, x: Array) -> bool:
 def _kept_flat(distances: Array, places: Array) -> bool:
     """Return whether constraints keep a flat or straight body with given coordinates (k, 1 or 2) in that shape.
 
-    This is the case if there is a stress on the constraints that is in equilibrium at each particle and resists all
+    Constraints keep the body flat if they can carry a stress that is in equilibrium at each particle and resists all
     motions out of the plane (Connelly, Invent. Math. 66 (1982) 11). Such a stress is a positive definite matrix whose
-    entries vanish for unconstrained distances. The stress closest to that of a body with all distances constrained is
-    tested. The result is False for bodies of more than `_LARGEST_FLAT` particles.
+    entries vanish for unconstrained distances. The function tests the stress closest to that of a body with all
+    distances constrained. The result is False for bodies of more than `_LARGEST_FLAT` particles.
     """
     k = len(places)
     if k > _LARGEST_FLAT:
@@ -176,9 +177,10 @@ def _kind(particles: Indices, masses: Array, distances: Array) -> Kind:
     if residual > RESIDUAL * distances.max():
         raise ValueError(
             f"the constraints between particles {', '.join(map(str, particles[0]))} cannot be satisfied in three "
-            f"dimensions (the fitted positions violate them by up to {residual:.2g} nm): correct the lengths"
+            f"dimensions (the fitted positions violate them by up to {residual:.2g} nm): correct the lengths of "
+            "these constraints"
         )
-    # The largest spread comes first, so that moments ascend and a linear body lies along axis 1.
+    # The largest spread comes first, so that the moments of inertia ascend and a linear body lies along axis 1.
     return Kind(particles, slice(0), masses, sites[None], mass, (spread.sum() - spread)[None])
 
 

@@ -1,4 +1,4 @@
-"""Positions of a System with whole molecules, which are joined along constraints and bonds, or to a known shape.
+"""Positions of a System in which split molecules are joined along constraints and bonds, or to a known shape.
 
 The positions define the shapes of the bodies passed as `bodies`. If neither constraints nor bonds join the parts of
 such a body, its positions are used unchanged. A ValueError is raised if there is evidence that the box has split the
@@ -33,20 +33,21 @@ from openmm_exactrb.support.warn import warn
 _SHORTER = 1.0 - 1e-6
 # A body counts as split if its parts fit together with a gap of at most this multiple of the longest gap within a part.
 _FITTING = 2.0
-# A gap below this fraction of half the box has no other image of nearly the same length.
+# A gap below this fraction of `half_width` has no other image of similar length.
 _CLEAR = 0.5
-# Distances (nm) that differ by less than the first number are equal. Shapes may differ by up to the second number,
-# because files round positions.
+# Distances that differ by less than the first number (nm) count as equal. Shapes may differ by up to the second number
+# (nm), because files contain rounded positions.
 _COMMON, _ROUNDED = 1e-6, 2e-3
-# Number of bodies that are compared to find the distances common to all.
+# Number of bodies that are compared to find their common distances.
 _COMPARED = 4
 
 
 def molecular_links(system: openmm.System, molecule: Indices) -> Links:
-    """Return links along constraints and bonds of a System, and further links within molecules (n_particles,).
+    """Return links along constraints and bonds, and further links within molecules.
 
-    Further links join virtual sites to a particle on which they depend, and other separate parts of a molecule to its
-    first particle, at the nearest image.
+    `molecule` (n_particles,) contains the index of each particle's molecule. Further links join each virtual site to a
+    particle on which the site depends, and other separate parts of a molecule to its first particle, at the nearest
+    image.
     """
     pairs, lengths = _with_bonds(system, parameters.constraints(system))
     n = len(molecule)
@@ -142,7 +143,7 @@ _REMEDY = (
 
 
 def _loose_whole(x: Array, masses: Array, bodies: list[Indices], numbers: list[int], box: Array, split: bool) -> Array:
-    """Return positions in which bodies without links are whole, if other bodies with the same masses show their shape.
+    """Return positions in which bodies without links are whole, if bodies with the same masses define their shape.
 
     ``split`` states whether the box has split other molecules.
     """
@@ -196,7 +197,7 @@ def _by_common_shape(X: Array, box: Array) -> tuple[Array, NDArray[np.bool_]]:
 
 
 def _nearest(X: Array, box: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return bodies (n, k, 3) joined by nearest images, and a mask (n,) of those whose gaps become shorter."""
+    """Return bodies (n, k, 3) joined by nearest images, and a mask (n,) of the bodies whose gaps become shorter."""
     near, torn = X.copy(), np.ptp(X @ np.linalg.inv(box), axis=1).max(axis=1) > 0.5  # narrow bodies are not split
     if torn.any():
         (given, _), (across, shifts) = image_gaps(X[torn], None), image_gaps(X[torn], box)

@@ -23,7 +23,9 @@ from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.thermostat import Thermostat
 
 #: The message of an engine that does not record the heat of its thermostat.
-NO_BALANCE = "the device does not add up the heat of its thermostat: use engine='host' to monitor the energy balance"
+NO_BALANCE = (
+    "the device engine does not record the heat of the thermostat: use engine='host' to monitor the energy balance"
+)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from openmm_exactrb.context import variables
 from openmm_exactrb.engines.catalogue import ENGINES, in_order
 from openmm_exactrb.engines.engine import Engine, Settings
 
-#: The choice of the first engine that supports the Context and is advantageous there.
+#: The value of `engine` that selects the first engine that supports the Context and is recommended for it.
 AUTO = "auto"
 
 
@@ -19,7 +19,7 @@ class Selection:
     """The engine of an integrator.
 
     With "auto", the choice depends on the Context, unless the run continues from a checkpoint, whose engine is kept if
-    possible. Before there is a Context, the integrator has the variables of the host engine. A ValueError is raised if
+    possible. Before a Context exists, the integrator has the variables of the host engine. A ValueError is raised if
     the engine is unknown, or if a requested engine does not support a setting.
 
     Attributes
@@ -27,7 +27,7 @@ class Selection:
     asked : str
         The name of an engine, or "auto".
     engine : Engine
-        The chosen engine, which is provisional until there is a Context.
+        The chosen engine, which is provisional until a Context exists.
     note : str
         A sentence that states the reason for the choice.
     marks : tuple of float
@@ -36,7 +36,7 @@ class Selection:
 
     def __init__(self, asked: str, settings: Settings) -> None:
         if asked != AUTO and asked not in ENGINES:
-            raise ValueError(f"unknown engine {asked!r}: choose one of {', '.join((*ENGINES, AUTO))}")
+            raise ValueError(f"the engine {asked!r} is unknown: choose one of {', '.join((*ENGINES, AUTO))}")
         self.asked = asked
         asked_for = in_order() if asked == AUTO else [ENGINES[asked]]
         self._candidates, self._reasons = _serving(asked_for, lambda engine: engine.unsupported(settings))

@@ -29,7 +29,7 @@ def as_completed(
     workers: int | None = None,
     progress: bool = True,
 ) -> Iterator[Result]:
-    """Execute jobs and yield their results as they complete, stored ones first.
+    """Execute jobs and yield their results as the jobs complete, stored results first.
 
     A job whose function raises an exception, or that repeatedly kills its workers, yields a result with the error. A
     later call tries the job again. Jobs of a worker process that dies are restarted on another worker. Closing the
@@ -69,7 +69,10 @@ def as_completed(
         if not isinstance(job, Job):
             raise TypeError(f"jobs must be Job objects, not {job!r}")
     if scheduler is not None and workers is not None:
-        raise ValueError("a scheduler has its own workers: pass either scheduler= or workers=")
+        raise ValueError(
+            "scheduler= and workers= exclude each other, because a scheduler has its own workers: omit one of these "
+            "arguments"
+        )
     if workers is not None:
         workers = whole(workers, "workers")
     try:

@@ -45,7 +45,7 @@ class Job:
     function : callable
     key : str
         Hash of the function's name, the arguments, the content of files that a ``pathlib.Path`` names, and the versions
-        of this package and OpenMM. The hash does not include the function's code: after changing the code, use another
+        of this package and OpenMM. The hash does not include the function's code. After changing the code, use another
         folder.
 
     Examples

@@ -23,7 +23,7 @@ from openmm_exactrb.ensemble.jobs import Job, Result, versions
 TIMEOUT = 20.0
 
 _LOCAL = {
-    # A worker holds one job at a time, so that no job is blamed for the death of a worker that another job killed.
+    # A worker holds one job at a time, so that the death of a worker is attributed to the job that caused it.
     "distributed.scheduler.worker-saturation": 1.0,
     # LocalCluster abandons a worker that dies twice within this time, and waits forever if it was the last worker.
     "distributed.deploy.lost-worker-timeout": "7 days",

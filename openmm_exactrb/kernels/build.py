@@ -29,7 +29,7 @@ def compiled(*arguments: str | type[Any]) -> _Decorator:
     """Return a decorator that compiles a function when it is defined, or loads it from numba's cache.
 
     The compiled function runs without Python's global lock. Its `arguments` are described by "f" for floats and "i" for
-    integers, followed by the number of axes for C-contiguous arrays; an uppercase character denotes an array that the
+    integers, followed by the number of axes for C-contiguous arrays. An uppercase character denotes an array that the
     function writes to. For example, "f2 F1" denotes a matrix, and a vector for the result. A NamedTuple of
     `openmm_exactrb.kernels.records` is passed as a class, because its fields declare their types.
     """
@@ -73,7 +73,7 @@ inlined: _Decorator = njit(error_model="numpy", inline="always")
 
 
 class _Cache(FunctionCache):  # type: ignore[misc]
-    """numba's cache, with a key that contains all sources of the kernels, not only the file of the function."""
+    """numba's cache, with a key that also contains a hash of all kernel sources."""
 
     def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
         return (*super()._index_key(sig, codegen), sources())

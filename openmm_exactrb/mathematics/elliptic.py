@@ -11,7 +11,7 @@ import numpy as np
 from openmm_exactrb.mathematics.quaternions import Numbers
 from openmm_exactrb.support.types import Array
 
-#: Beyond this argument, sech(v)² would leave the range of float64; on the separatrix, the functions are constant there.
+#: Beyond this argument, sech(v)² would leave the range of float64. On the separatrix, the functions are constant there.
 SEPARATRIX_LIMIT = 345.0
 #: Below this phase, sn v = v, cn v = dn v = 1 to the last bit, and the recurrence in cot(phase) would overflow.
 TINY_PHASE = 1e-60
@@ -80,7 +80,7 @@ def third_kind(v: Array, kc2: Array, c: Array, b: Array, w: Array, cn: Array, dn
     Notes
     -----
     Within half a period the integral is b/3 w³ R_J(cn², dn², 1, 1 + b w²) with Carlson's R_J (DLMF 19.25.14); if kc =
-    0, it is elementary.
+    0, the integral is elementary.
     """
     separatrix = kc2 == 0.0
     reduced = np.where(cn < 0.0, -w, w)
@@ -130,7 +130,7 @@ def third_kind_short(w: Array, x: Array, z: Array, b: Array) -> Array:
 
     The integral is computed by Gauss's rule with ten nodes on [-w, w], or with six nodes if all abs(w) <= 0.1; since
     the integrand is even, it is evaluated at half of the nodes. For x, z and b in [0, 1], the singularities of the
-    integrand are at least 1 away from zero, and the rule is exact to roundoff.
+    integrand are at least a distance of 1 from zero, and the rule is exact to roundoff.
     """
     nodes_squared, weights = RULES[0] if np.max(np.abs(w), initial=0.0) <= 0.1 else RULES[1]
     square = nodes_squared * (w * w)
@@ -171,9 +171,9 @@ def sine_short(s: Numbers, x: Numbers, z: Numbers) -> Numbers:
 def third_kind_legendre(sn: Array, cn: Array, dn: Array, half_turns: Array, kc2: Array, nc: Array) -> Array:
     """Return Legendre's incomplete integral of the third kind minus its argument, Pi(n; am u, k) - u, for any u.
 
-    This is the integral of n sn² / (1 - n sn²) from 0 to u; within half a period it is n/3 sn³ R_J(cn², dn², 1, 1 - n
-    sn²) (DLMF 19.25.14). The arguments are the results of `jacobi` for u, positive kc2 = 1 - k², and positive nc = 1 -
-    n.
+    The result is the integral of n sn² / (1 - n sn²) from 0 to u. Within half a period, it is n/3 sn³ R_J(cn², dn², 1,
+    1 - n sn²) (DLMF 19.25.14). The arguments are the results of `jacobi` for u, positive kc2 = 1 - k², and positive nc
+    = 1 - n.
     """
     sn2, cn2 = sn * sn, cn * cn
     folded = np.where(cn < 0.0, -sn, sn)

@@ -68,7 +68,7 @@ def norm_defect(q: Array) -> Array:
 def rotation_matrix(q: ArrayLike) -> Array:
     """Return the rotation matrices Q (..., 3, 3) of unit quaternions (..., 4), from body to space coordinates.
 
-    This is equation (17) of Celledoni et al. (doi:10.1137/070704393).
+    The formula is equation (17) of Celledoni et al. (doi:10.1137/070704393).
     """
     q = np.moveaxis(np.asarray(q, dtype=np.float64), -1, 0)
     return np.ascontiguousarray(np.moveaxis(matrix(q), (0, 1), (-2, -1)))
@@ -118,7 +118,7 @@ def random(rng: np.random.Generator, n: int) -> Array:
 
 
 def turned(Q: Array, sites: Array) -> Array:
-    """Return the turned sites Q b (n, k, 3) for orientations (n, 3, 3) and sites (1, k, 3) or (n, k, 3)."""
+    """Return the rotated sites Q b (n, k, 3) for orientations (n, 3, 3) and sites (1, k, 3) or (n, k, 3)."""
     n, (shapes, k, _) = len(Q), sites.shape
     if shapes > 1:
         own: Array = np.einsum("nij,nsj->nsi", Q, sites)

@@ -19,7 +19,8 @@ from openmm_exactrb.mechanics.clusters import Clusters, ClusterState
 from openmm_exactrb.mechanics.state import BodyState, State
 from openmm_exactrb.support.types import Array, Indices
 
-# Ratio of the smallest to the largest moment below which a body is thin: light particles define its orientation.
+# Ratio of the smallest to the largest moment below which a body is thin, so that light particles define its
+# orientation.
 _THIN = 1e-6
 
 
@@ -28,11 +29,11 @@ class Kind:
     """Bodies with the same masses and with common or individual shapes, in principal axes about the centre of mass."""
 
     particles: Indices  #: the k particles with mass of each of the n bodies (n, k)
-    bodies: slice  #: their indices among all bodies
-    masses: Array  #: of the particles (k,)
+    bodies: slice  #: indices of the bodies among all bodies
+    masses: Array  #: masses of the particles (k,)
     sites: Array  #: positions of the particles, for all bodies (1, k, 3) or for each (n, k, 3)
     mass: float
-    inertia: Array  #: ascending moments (1, 3) or (n, 3): the first is 0 for a linear body, all are 0 for a point
+    inertia: Array  #: ascending moments (1, 3) or (n, 3); the first is 0 for a linear body, all are 0 for a point
 
     def only(self, chosen: NDArray[np.bool_]) -> Kind:
         """Return the kind with only the bodies of a mask (n,); the indices `bodies` are unchanged."""
@@ -51,7 +52,7 @@ class Kind:
 
     @property
     def weights(self) -> Array:
-        """Weights (k,) for the fit of an orientation: the masses, or ones if nearly all mass is on a line."""
+        """Weights (k,) for the fit of an orientation: the masses, or ones if the body is thin."""
         thin = self.turns and not self.linear and bool((self.inertia[:, 0] < _THIN * self.inertia[:, 2]).any())
         return np.ones(len(self.masses)) if thin else self.masses
 
@@ -59,7 +60,7 @@ class Kind:
 class RigidBodies:
     """The N bodies of a System of `n_particles`: rigid bodies, and the particles that belong to no rigid body.
 
-    The kinds of the atoms of constrained clusters follow the kinds that turn.
+    The kinds of the atoms of constrained clusters follow the kinds that rotate.
     """
 
     def __init__(self, kinds: Sequence[Kind], n_particles: int, clusters: Clusters | None = None) -> None:
@@ -67,7 +68,7 @@ class RigidBodies:
         self._turning = tuple(kind for kind in kinds if kind.turns)
         self.n_particles = n_particles
         self.clusters = Clusters([]) if clusters is None else clusters
-        #: K, the number of bodies that turn.
+        #: K, the number of bodies that rotate.
         self.n_turning = sum(len(kind.particles) for kind in self._turning)
         self.mass: Array = np.concatenate([np.zeros(0), *(np.full(len(kind.particles), kind.mass) for kind in kinds)])
         self.particles = _particles(kinds)
@@ -75,7 +76,7 @@ class RigidBodies:
         self.first_particle = self.particles.rows[self.particles.starts[:-1]]
         #: The atoms of clusters among all bodies.
         self.clustered = slice(self.n_turning, self.n_turning + len(self.clusters.mass))
-        #: Moments for the rotor (1, 3) or (K, 3): a linear body is treated as a sphere without momentum along its axis.
+        #: Moments for the rotor (1, 3) or (K, 3). A linear body is treated as a sphere without momentum along its axis.
         self.inertia = _moments(self._turning)
         self._flexible = bool(len(self.clusters))
         self._kernels = kernels.load("bodies")
@@ -109,7 +110,7 @@ class RigidBodies:
 
     def touched(self, particles: Indices) -> NDArray[np.bool_]:
         """Return a mask (N,) of the bodies, and of all atoms of the clusters, that contain one of the particles."""
-        chosen = np.zeros(len(self) + 1, dtype=bool)  # the last entry is for particles of no body
+        chosen = np.zeros(len(self) + 1, dtype=bool)  # the last entry is for particles outside all bodies
         chosen[self.owner[particles]] = True
         for _, columns in self.clusters.columns():
             atoms = columns + self.n_turning
@@ -199,7 +200,7 @@ class RigidBodies:
         for kind in self.kinds:
             if kind.bodies.start <= body < kind.bodies.stop:
                 return f"body {body} (particles {', '.join(map(str, kind.particles[body - kind.bodies.start]))})"
-        raise IndexError(f"there is no body {body}: use a number from 0 to {len(self) - 1}")
+        raise IndexError(f"body {body} does not exist: use a number from 0 to {len(self) - 1}")
 
 
 class Part:

@@ -33,9 +33,9 @@ class ClusterKind:
     """Clusters with the same graph of constraints, the same masses and the same lengths."""
 
     particles: Indices  #: the n particles of each of the N clusters (N, n)
-    masses: Array  #: in amu (n,)
+    masses: Array  #: masses in amu (n,)
     pairs: Indices  #: the two members of each constraint, by their indices in `particles` (m, 2)
-    lengths: Array  #: in nm (m,)
+    lengths: Array  #: lengths in nm (m,)
     #: The members (k, 2) and lengths (k,) of constraints that follow from the others, and thus remove no degree of
     #: freedom.
     implied: Indices = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
@@ -95,8 +95,8 @@ class ClusterKind:
         """Return the independence of the constraints at positions (N, n, 3), and the most dependent constraint.
 
         Independence (N,) is the smallest squared norm, in the mass metric, of the part of a constraint's gradient that
-        is orthogonal to the gradients of the preceding constraints in `graph`. It is 0 if the constraint follows from
-        the preceding ones. The most dependent constraint (N,) is given by its index in `graph`.
+        is orthogonal to the gradients of the preceding constraints in `graph`. Independence is 0 if the constraint
+        follows from the preceding constraints. The most dependent constraint (N,) is given by its index in `graph`.
         """
         r = (x[:, self.graph.pairs[:, 0]] - x[:, self.graph.pairs[:, 1]]).transpose(2, 1, 0)
         r /= np.maximum(np.sqrt((r * r).sum(axis=0)), np.finfo(float).tiny)
@@ -127,7 +127,7 @@ class ClusterKind:
             gradient[i] = (x[i] - x[j]) / np.linalg.norm(x[i] - x[j])
             gradient[j] = -gradient[i]
             rest = gradient.ravel()
-            for _ in range(2):  # repeated to reduce roundoff
+            for _ in range(2):  # the projection is repeated to reduce roundoff
                 rest = rest - found.T @ (found @ rest)
             kept[c] = rest @ rest >= _INDEPENDENT
             if kept[c]:
@@ -144,16 +144,15 @@ class ClusterKind:
         if bad.any():
             raise ValueError(
                 f"particle {self.particles[0, np.argmax(bad)]} of {self.name(0)} has the mass "
-                f"{self.masses[np.argmax(bad)]:g}, but a constraint needs masses at both ends: set its mass, or remove "
-                "its constraints"
+                f"{self.masses[np.argmax(bad)]:g}, but a constraint can join only particles with mass: set the mass "
+                "of this particle, or remove the constraint"
             )
         bad = ~((self.lengths > 0.0) & np.isfinite(self.lengths)) | (self.pairs[:, 0] == self.pairs[:, 1])
         if bad.any():
             i, j = self.particles[0, self.pairs[np.argmax(bad)]]
             raise ValueError(
-                f"the constraint of particles {i} and {j} to {self.lengths[np.argmax(bad)]:g} nm cannot be kept, "
-                "because a constraint needs two different particles and a positive length: correct or remove this "
-                "constraint"
+                f"the constraint of particles {i} and {j} to {self.lengths[np.argmax(bad)]:g} nm is invalid, because "
+                "a constraint needs two different particles and a positive length: correct or remove this constraint"
             )
         if len(self.pairs) > LARGEST:
             raise ValueError(
@@ -176,10 +175,10 @@ class ClusterKind:
             worst = int(np.argmin(independence))
             i, j = self.particles[worst, self.graph.pairs[constraint[worst]]]
             raise ValueError(
-                f"{self.name(worst).capitalize()} is in a singular configuration, where the constraint of particles "
-                f"{i} and {j} follows from the others: if its particles are on a line or in a plane by chance, set "
-                "other positions; if a part of the molecule is always straight or flat, remove this constraint, or "
-                "make the molecule rigid by constraining all distances or naming the molecule in bodies="
+                f"{self.name(worst)} is in a singular configuration, where the constraint of particles {i} and {j} "
+                "follows from the others: if its particles are on a line or in a plane by chance, set other "
+                "positions; if a part of the molecule is always straight or flat, remove this constraint, or make "
+                "the molecule rigid by constraining all distances or naming the molecule in bodies="
             )
 
 
@@ -259,8 +258,8 @@ def _anywhere(n: int) -> Array:
 def sorted_into_kinds(groups: Iterable[ClusterKind]) -> Clusters:
     """Return clusters grouped into kinds; stars that differ only in the order of their atoms form one kind.
 
-    Within a kind, clusters are sorted by their first particles. A ValueError is raised if constraints cannot be
-    satisfied: see `ClusterKind.check_kept`.
+    In a star, one atom has a constraint with each other atom. Within a kind, clusters are sorted by their first
+    particles. A ValueError is raised if constraints cannot be satisfied; see `ClusterKind.check_kept`.
     """
     kinds: dict[bytes, list[ClusterKind]] = {}
     for group in map(_in_canonical_order, groups):

@@ -14,19 +14,19 @@ from openmm_exactrb.mechanics.state import BodyState, State
 from openmm_exactrb.support.types import Array
 from openmm_exactrb.support.warn import warn
 
-#: The speed of light in nm/ps: forces on faster bodies are not evaluated.
+#: The speed of light in nm/ps. Forces are not evaluated if a body is faster.
 LIGHT = 299_792.458
 #: Energies are compared if the sum of squared momenta has grown by more than this factor since the last valid state.
 GROWN = 1.5
-# A rise of the total energy by more than this fraction of the kinetic energy, before or after the step, is larger than
-# any integration error of a meaningful run. A long step may remove most of the kinetic energy of a vibration.
+# A run has diverged if the total energy rises by more than this fraction of the kinetic energy before or after the
+# step, whichever is larger. A long step may remove most of the kinetic energy of a vibration.
 _GAINED = 0.5
-# Largest mean kinetic energy of bonded bodies in kJ/mol: a fifth of this energy breaks a bond.
+# Largest mean kinetic energy of bonded bodies in kJ/mol. A fifth of this energy breaks a bond.
 _HOTTEST = 2500.0
 # BLAS distributes sums of more than this many numbers over threads, which costs milliseconds on a busy processor.
 _FEW = 10_000
-# Relative rounding error of energies in single precision, and an insignificant energy in kJ/mol per body, which exceeds
-# that of a start at rest.
+# Relative rounding error of energies in single precision, and the energy in kJ/mol per body below which a rise is
+# insignificant, even for a run that starts at rest.
 _ROUNDED, _NOTHING = 1e-4, 1e-6
 #: What the Context holds after a step or call that diverged, and what to do.
 ADVICE = (
@@ -42,7 +42,7 @@ _TOO_HOT, _ERRORS = 0.05, 4.0
 
 
 class IntegrationError(ArithmeticError):
-    """A run has diverged: the step is too large, or bodies overlap at the start."""
+    """A run has diverged, because the step is too large or bodies overlap at the start."""
 
 
 class NonFiniteError(IntegrationError):
@@ -50,16 +50,16 @@ class NonFiniteError(IntegrationError):
 
 
 class StepSizeWarning(UserWarning):
-    """A step is too long for correct averages: it is near a resonance, or the run is hotter than its thermostat."""
+    """A step is too long for correct averages, because it is near a resonance or the temperature stays too high."""
 
 
 class DivergenceCheck:
     """Checks the states of a run for non-finite numbers and for a rise of the total energy.
 
-    `potential` is a function that returns the potential energy (kJ/mol) of a state. It is called only if squared
-    momenta have grown by the factor `GROWN`. `box` is a function that returns the vectors (3, 3) of the periodic box in
-    nm, or None. `conserves` states whether energies are compared: forces must be known to conserve energy, and the user
-    must not have disabled the comparison.
+    `potential` is a function that returns the potential energy (kJ/mol) of a state. The function is called only if
+    squared momenta have grown by the factor `GROWN`. `box` is a function that returns the vectors (3, 3) of the
+    periodic box in nm, or None. `conserves` states whether energies are compared, which requires that forces are known
+    to conserve energy and that the user has not disabled the comparison.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class DivergenceCheck:
         conserves: bool = True,
     ) -> None:
         self._bodies, self._potential, self._box, self._conserves = bodies, potential, box, conserves
-        self._fastest = float(np.min(LIGHT * bodies.mass, initial=np.inf)) ** 2  # a smaller P² means slower than light
+        self._fastest = float(np.min(LIGHT * bodies.mass, initial=np.inf)) ** 2  # if P² is smaller, no body is too fast
         #: Mean kinetic energy of bodies within inner steps, in kJ/mol, above which a step has diverged.
         self.hottest = _HOTTEST if conserves else np.inf
         self._good = 0.0, 0.0  # squares of linear and angular momenta
@@ -92,7 +92,7 @@ class DivergenceCheck:
 
     def finite(self, state: State) -> tuple[float, float]:
         """Return the sums of squared linear and angular momenta; raise NonFiniteError if forces cannot be evaluated."""
-        if not _square(state.R) + _square(state.q) < np.inf:  # so that nan is not
+        if not _square(state.R) + _square(state.q) < np.inf:  # also true for nan
             self._raise_if_lost(state)
         return self.finite_momenta(state)
 
@@ -109,7 +109,12 @@ class DivergenceCheck:
         if len(bad):
             names = "; ".join(self._bodies.name(int(b)) for b in bad[:3])
             more = f" and {len(bad) - 3} more" if len(bad) > 3 else ""
-            raise NonFiniteError(self._message(f"bodies are not finite or faster than light: {names}{more}"))
+            raise NonFiniteError(
+                self._message(
+                    "positions or momenta became non-finite, or speeds exceeded the speed of light (bodies affected: "
+                    f"{len(bad)}): {names}{more}"
+                )
+            )
 
     def of_inner_steps(self, bodies: RigidBodies) -> Callable[[State], None]:
         """Return a check of selected bodies after inner steps.
@@ -127,7 +132,7 @@ class DivergenceCheck:
 
     def judge_inner_steps(self, mean: float) -> None:
         """Raise IntegrationError if the mean kinetic energy (kJ/mol) of bodies within inner steps exceeds `hottest`."""
-        if not mean <= self.hottest:  # so that nan is too hot
+        if not mean <= self.hottest:  # also true for nan
             raise IntegrationError(
                 self._message(f"the mean kinetic energy in the inner steps is {mean:.3g} kJ/mol per body")
             )
@@ -178,7 +183,7 @@ def gained(n_bodies: int, then: tuple[float, float], now: tuple[float, float]) -
 def lost(bodies: RigidBodies, state: BodyState) -> NDArray[np.bool_]:
     """Return a mask (N,) of bodies that are faster than light or have non-finite squares of coordinates or momenta."""
     which = np.asarray(~np.isfinite((state.R * state.R).sum(axis=0)))
-    which |= ~((state.P * state.P).sum(axis=0) <= (LIGHT * bodies.mass) ** 2)  # so that nan is lost
+    which |= ~((state.P * state.P).sum(axis=0) <= (LIGHT * bodies.mass) ** 2)  # also true for nan
     which[: bodies.n_turning] |= ~np.isfinite((state.q * state.q).sum(axis=0) + (state.m * state.m).sum(axis=0))
     return which
 

@@ -15,7 +15,8 @@ from openmm_exactrb.mechanics.state import BodyState
 from openmm_exactrb.support.types import Array, Indices
 from openmm_exactrb.support.warn import warn
 
-#: Larger deviations from a rigid shape, in nm, are an error: the positions are those of another or a split molecule.
+#: Larger deviations from a rigid shape, in nm, raise an error, because the positions belong to another molecule or to a
+#: split molecule.
 REFUSED = 0.02
 #: Deviations up to this distance, in nm, are corrected without a warning.
 RIGIDITY = 1e-4
@@ -77,7 +78,7 @@ def refit(bodies: RigidBodies, known: BodyState, x: Array, v: Array, moved: Indi
         _check_finite(bodies, of_kind, V)
         P[:, of_kind] = np.einsum("s,nsi->in", kind.masses, V)
         if kind.turns and len(of_kind):
-            # Only the momentum about the centre: m = Q^T sum m_s (Q b_s) x v_s = sum m_s b_s x Q^T v_s.
+            # Compute only the momentum about the centre, m = Q^T sum m_s (Q b_s) x v_s = sum m_s b_s x Q^T v_s.
             in_body = np.einsum("nji,nsj->nsi", _attitudes(q, of_kind), V)
             m[:, of_kind] = np.einsum("s,nsi->in", kind.masses, np.cross(sites, in_body))
             if kind.linear:
@@ -131,13 +132,14 @@ def _judge(bodies: RigidBodies, x: Array, chosen: Indices, distance: Array) -> N
     name = bodies.name(int(chosen[worst]))
     if distance[worst] > REFUSED:
         cause = _cause(bodies, x, int(chosen[worst])) or (
-            f", more than {REFUSED:g} nm: set positions that match the constraints or, for a body named by hand, the "
-            f"positions that were set first"
+            f", more than {REFUSED:g} nm: set positions that match the constraints or, for a body given in bodies=, "
+            "the positions that were set first"
         )
         raise ValueError(f"{name} is {distance[worst]:.2g} nm away from its shape{cause}")
     warn(
-        f"positions of {(distance > RIGIDITY).sum()} bodies deviated from their shapes and were corrected: "
-        f"the largest distance is {distance[worst]:.2g} nm, in {name}",
+        "positions deviated from the shapes of bodies and were corrected (bodies affected: "
+        f"{(distance > RIGIDITY).sum()}), by up to {distance[worst]:.2g} nm for {name}: set positions that match the "
+        "shapes",
         ShapeWarning,
     )
 
@@ -152,8 +154,8 @@ def _cause(bodies: RigidBodies, x: Array, body: int) -> str | None:
     missed = np.array([_missed_by(k, kind.weights, sites, x[particles]) for k in range(len(particles))])
     if _missed_by(None, kind.weights, -sites, x[particles]).max() <= REFUSED:
         return (
-            " and has the shape of its mirror image: set positions with the handedness of those that were set first, "
-            "or call context.reinitialize(preserveState=True) to make the present positions the shape"
+            " and has the shape of its mirror image: set positions with the handedness of those that were set "
+            "first, or call context.reinitialize(preserveState=True) to make the present positions the shape"
         )
     (astray,) = np.nonzero(np.where(np.eye(len(missed)), 0.0, missed).max(axis=1) <= REFUSED)
     if len(astray) != 1:
@@ -208,7 +210,7 @@ def _put_on_constraints(bodies: RigidBodies, R: Array, P: Array, chosen: Indices
     columns = reached - bodies.clustered.start
     R[:, reached], P[:, reached] = state.x[0][:, columns], state.p[0][:, columns]
     first, distance = _missed(bodies, R, reached)
-    bad = ~(distance <= _REACHED)  # so that nan is bad
+    bad = ~(distance <= _REACHED)  # also true for nan
     if bad.any():
         raise ValueError(
             f"the constraints of {bodies.name(int(first[np.argmax(bad)]))} cannot be satisfied from these positions: "

@@ -23,13 +23,13 @@ class Kinetic:
 
     #: The flow of the kinetic energy.
     drift: Flow[State]
-    #: displaced(state, push) -> the state translated from rest, without rotation, by momenta `push` (3, N) over the
-    #: time 1.
+    #: displaced(state, push) -> the state translated from rest, without rotation, by momenta `push` (3, N) over unit
+    #: time.
     displaced: Callable[[State, Array], State]
     #: tangent(state) -> the state with momenta projected onto the constraints. Since a drift begins with this
-    #: projection, kicks and noise need it only where the energy is evaluated.
+    #: projection, kicks and noise need the projection only where the energy is evaluated.
     tangent: Callable[[State], State]
-    #: If only some bodies have inner steps: their drift, "inner", and the drift of the "others". Otherwise empty.
+    #: The drift "inner" of bodies with inner steps and the drift of the "others", if only some bodies have inner steps.
     split: Mapping[str, Flow[State]] = field(default_factory=dict)
 
 
@@ -82,7 +82,7 @@ CONSTRAINTS: dict[str, Callable[[Kinetic, RigidBodies], Kinetic]] = {"distances"
 
 
 def only_distances() -> bool:
-    """Return whether all constraints are distances, the only ones that compiled inner steps support."""
+    """Return whether all constraints are distances, the only constraints that compiled inner steps support."""
     return set(CONSTRAINTS.values()) == {geodesics}
 
 

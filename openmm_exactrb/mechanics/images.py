@@ -1,7 +1,7 @@
 """Reassembly of molecules that a periodic box has split, and the search for the closest bodies.
 
-For each link between two particles, independently of the others, the shift by box vectors that gives the link its
-length is determined. Particles are then joined along a tree of links.
+For each link between two particles, independently of other links, the module determines the shift by box vectors that
+gives the link its length. Particles are then joined along a tree of links.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from openmm_exactrb.mechanics.links import Links, shortest_tree
 from openmm_exactrb.mechanics.state import BodyState
 from openmm_exactrb.support.types import Array, Indices
 
-# A distance within `_NEAR` (nm) of the length of a link may be this length. A distance within `_EQUAL` (nm) is this
-# length.
+# A distance may be a link's length if they differ by less than `_NEAR` (nm), and counts as equal to this length if they
+# differ by at most `_EQUAL` (nm).
 _NEAR, _EQUAL = 0.02, 1e-4
 # An image replaces the given vector if the error of its length is below this fraction of the error of the given vector.
 _CLOSER = 0.5
-# The largest distance, in units of the length of the bond, at which a bond is not considered split.
+# A bond is considered split if the distance of its atoms exceeds this multiple of its length.
 _STRETCHED = 1.5
 # The largest number of combinations of images that are tried where the links of a group are undecided.
 _MOST_WAYS = 4096
@@ -34,7 +34,7 @@ class Decided:
     """Numbers of box vectors by which the second ends of links are to be shifted relative to the first ends."""
 
     shifts: Array  #: (m, 3)
-    doubtful: NDArray[np.bool_]  #: where neither an image nor the given vector has the length (m,)
+    doubtful: NDArray[np.bool_]  #: where neither an image nor the given vector has the link's length (m,)
     undecided: NDArray[np.bool_]  #: where several images match the length within 0.02 nm (m,)
 
 
@@ -47,7 +47,7 @@ def decided(x: Array, links: Links, box: Array) -> Decided:
     (far,) = np.nonzero(np.isfinite(given) & ~(short & (given < half)))
     found.shifts[far] = -np.round(gap[far] @ inverse)
     nearest = np.linalg.norm(gap[far] + found.shifts[far] @ box, axis=1)
-    hard = far[~(short[far] & (nearest < half))]  # the others have only one image that is shorter than half the box
+    hard = far[~(short[far] & (nearest < half))]  # other links have only one image shorter than half the box
     if len(hard):
         offered = lattice(2 + int(wanted[hard].max() / (2.0 * half)))
         for link in hard:
@@ -75,7 +75,7 @@ def lattice(reach: int) -> Array:
 
 
 def joined(x: Array, links: Links, box: Array, found: Decided | None = None) -> Array:
-    """Return positions (n_particles, 3) with linked particles in one image of a box, or x itself if none changes.
+    """Return positions (n_particles, 3) with linked particles in one image of a box, or x itself if unchanged.
 
     The first particle of each group is not moved. A ValueError is raised if two images fit equally well.
     """
@@ -133,7 +133,7 @@ class Shapes:
         self._bodies = bodies
 
     def whole(self, x: Array, box: Array) -> Array:
-        """Return positions (n_particles, 3) with each body and cluster in one image, or x itself if none changes."""
+        """Return positions (n_particles, 3) with each body and cluster in one image, or x itself if unchanged."""
         long = self._short.lengths.max(initial=0.0) >= half_width(box) - _NEAR
         return joined(x, self._braced if long else self._short, box)
 

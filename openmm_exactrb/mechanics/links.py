@@ -15,7 +15,7 @@ class Links:
     """Pairs (m, 2) of particles that a constraint, a bond or a known shape holds at a certain distance.
 
     If a pair occurs more than once, its first occurrence is used. Lengths (m,) are in nm, or nan if unknown. The tree
-    prefers short links, and uses the links of the mask `last` (m,) only where no other links exist.
+    consists of the shortest possible links. Links of the mask `last` (m,) are used only where no other links exist.
     """
 
     def __init__(self, pairs: Indices, lengths: Array, n_particles: int, last: NDArray[np.bool_] | None = None) -> None:
@@ -35,7 +35,7 @@ class Links:
 
     @cached_property
     def tree(self) -> tuple[Indices, Indices, Indices]:
-        """All particles but the first of a group, their predecessors in the tree, and the links to the predecessors."""
+        """All particles except the first of each group, with their predecessors in the tree and the links to these."""
         from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 
         n = self.n_particles

@@ -19,7 +19,7 @@ from openmm_exactrb.support.warn import warn
 
 # The unit (nm) of the coordinates in the last search, which is the length of its first trial step.
 _LEAST = 1e-6
-# The relative resolution of an energy in single precision: a smaller decrease does not count.
+# The relative resolution of an energy in single precision. A smaller decrease is ignored.
 _GAINED = 1e-7
 
 #: landscape(state) -> potential energy, forces (3, N), body-frame torques (3, K).
@@ -47,13 +47,13 @@ def minimised(
     iterations: int,
     box: Array | None = None,
 ) -> BodyState:
-    """Return the state at a minimum of the potential energy, with the momenta of the start.
+    """Return the state at a minimum of the potential energy, with the momenta of `start`.
 
     Coordinates are the displacement and the rotation exp(theta) of each body relative to its start, where theta is
     multiplied by the radius of gyration. The method is L-BFGS-B: Zhu, Byrd, Lu and Nocedal, doi:10.1145/279232.279236.
-    If a search ends above the tolerance, for example because of the huge forces of an overlap, another search starts at
-    the best position found. The tolerance, in kJ/mol/nm, limits the largest component of a force, and of a torque
-    divided by the radius of gyration. The argument `iterations` limits the number of iterations of all searches
+    If a search ends above the tolerance, for example because overlapping bodies cause huge forces, another search
+    starts at the best position found. The tolerance, in kJ/mol/nm, limits the largest component of a force, and of a
+    torque divided by the radius of gyration. The argument `iterations` limits the number of iterations of all searches
     together; 0 means no limit. A NonFiniteError is raised if the energy or a force at the start is not finite. A
     MinimisationWarning is issued if the energy stops falling before a search reaches the tolerance.
     """
@@ -74,7 +74,7 @@ def minimised(
                 break
             reach *= 0.1
     warn(
-        f"the minimisation ended with a force of {force:.3g} kJ/mol/nm, above the tolerance of {tolerance:.3g}, "
+        f"the minimisation ended at a force of {force:.3g} kJ/mol/nm, above the tolerance of {tolerance:.3g}, "
         "because the energy stopped decreasing: use a larger tolerance, or forces in double precision",
         MinimisationWarning,
     )

@@ -8,10 +8,10 @@ state. In words of 64 bits, the lowest first, the layout is::
     counter = (0, 0, stream, step)
 
 Seed and step are encoded as signed integers. Each value of the counter yields a block of four words. In an array (...,
-N), the counter of body n has the lowest word n + 1. The second word numbers further blocks if the array has more than
-four rows. Hence a number does not depend on how many others were drawn before it, on where a run was interrupted, or on
-the engine that performs the step. In the device engine, kernels/random.cl generates the same numbers. The stream is the
-index of the substep in the step times `PURPOSES`, plus the purpose.
+N), the counter of body n has the lowest word n + 1. The second word is the index of the block. An array of more than
+four rows has several blocks. Hence a random number does not depend on how many numbers were drawn before it, on where a
+run was interrupted, or on the engine that performs the step. In the device engine, kernels/random.cl generates the same
+numbers. The stream is the index of the substep in the step times `PURPOSES`, plus the purpose.
 
 Normal variates are computed from neighbouring words by the method of G. E. P. Box and M. E. Muller (1958),
 doi:10.1214/aoms/1177706645.
@@ -33,7 +33,7 @@ from openmm_exactrb.support.types import Array
 
 # Number of words in a block.
 _BLOCK = 4
-# Number of attempts at a gamma variate that are evaluated together; one in twenty fails.
+# Number of attempts at a gamma variate that are evaluated together. One attempt in twenty fails.
 _ATTEMPTS = 8
 
 
@@ -70,8 +70,8 @@ class Instant(NamedTuple):
     def gamma(self, purpose: Purpose, shape: float) -> float:
         """Return a gamma variate of a given shape for a purpose, independent of the first four normals of each body.
 
-        G. Marsaglia and W. W. Tsang (2000), doi:10.1145/358407.358414. Successive attempts use the
-        numbers of successive bodies in the second block.
+        The method is that of G. Marsaglia and W. W. Tsang (2000), doi:10.1145/358407.358414. Successive attempts use
+        the numbers of successive bodies in the second block.
         """
         if shape <= 0.0:
             return 0.0
@@ -103,7 +103,7 @@ def _kernel() -> Callable[..., None]:
 
 
 def _normals_of(u: Array) -> Array:
-    """Return standard normal numbers from uniform ones: each pair of neighbouring rows yields two rows."""
+    """Return standard normal numbers from uniform numbers; each pair of neighbouring rows yields two rows."""
     radius, angle = np.sqrt(-2.0 * np.log(u[::2])), 2.0 * np.pi * u[1::2]
     out = np.empty(u.shape)
     out[::2], out[1::2] = radius * np.cos(angle), radius * np.sin(angle)

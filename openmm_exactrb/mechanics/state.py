@@ -22,7 +22,7 @@ Remembered = tuple[list[Force], list[Force]]
 
 
 class BodyState(NamedTuple):
-    """Positions and momenta of N bodies, the first K of which rotate."""
+    """Positions and momenta of N bodies, where the first K bodies rotate."""
 
     R: Array  #: centres of mass in nm (3, N)
     P: Array  #: linear momenta in amu nm/ps (3, N)

@@ -1,4 +1,4 @@
-"""The usual bonded forces of an excerpt, computed by a kernel, which for few terms is faster than calls of OpenMM."""
+"""The common bonded forces of an excerpt, computed by a kernel that is faster than OpenMM for few terms."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from openmm_exactrb.multiple_time_steps.bonded import COULOMB, LENNARD_JONES, PA
 from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.support.types import Array, Indices
 
-# Formulas of harmonic torsions in OpenMM's CHARMM force fields, without blanks: on the line from -pi to pi, or on a
-# circle.
+# Formulas of harmonic torsions in OpenMM's CHARMM force fields, without blanks. The difference of angles is periodic in
+# the second formula only.
 _HARMONIC = re.compile(
     r"k\*\(theta-theta0\)\^2|k\*min\(dtheta,2\*pi-dtheta\)\^2;dtheta=abs\(theta-theta0\);pi=([\d.]+);?"
 )
 _PARAMETERS = {LENNARD_JONES: {"sigma", "epsilon"}, _HARMONIC: {"k", "theta0"}}
-# The period on the line: so long that no difference of angles reaches half of it.
+# The period that represents a difference without periodicity, so long that no difference reaches half of it.
 _LINE = 1e9
 
 
-#: Empty arrays of terms of all kinds.
+#: Empty arrays for terms of all types.
 NO_TERMS = Terms(
     *(np.zeros((0, 2), np.int64), np.zeros((2, 0))),
     *(np.zeros((0, 3), np.int64), np.zeros((3, 0))),

@@ -25,13 +25,14 @@ from openmm_exactrb.support.warn import warn
 # Inner schemes, and the longest time between two kicks by the fast forces as a fraction of the period of the fastest
 # bond or angle. The pairs are for outer schemes of order 2, for those of higher order or with force gradients, and for
 # those of order 2 with a heat exchange within the step. High-order outer schemes need a finer inner scheme: with S2_2,
-# or with SRKN4_6b at 20 kicks per period, the inner error dominated at 2000 outer force evaluations per ps (docs: Any
-# molecule). Schemes with a heat exchange within the step serve for averages, for which the energy error matters less.
-# With 0.08, the mean energy of the fastest bond is half a percent too low, and the mean energies of other bonds deviate
-# less.
+# or with SRKN4_6b at 20 kicks per period, the error of the inner steps dominated at 2000 outer force evaluations per ps
+# (docs: Any molecule). Schemes with a heat exchange within the step are used for averages, on which the energy error
+# has less effect. With the fraction 0.08, the mean energy of the fastest bond is 0.5 % too low, and the mean energies
+# of other bonds deviate less.
 _SECOND_ORDER, _HIGHER_ORDER, _WITH_HEAT_EXCHANGE = ("S2_2", 0.05), ("SRKN4_6b", 0.0125), ("S2_2", 0.08)
-# The longest time between force evaluations, as a fraction of the fastest period, at which every scheme shows its order
-# and a small error without inner steps. This time is 1.5 fs if bonds to hydrogen are constrained, otherwise 0.6 fs.
+# The longest time between force evaluations, as a fraction of the fastest period, at which every scheme without inner
+# steps converges with its order and has a small error. This time is 1.5 fs if bonds to hydrogen are constrained,
+# otherwise 0.6 fs.
 _LONGEST_PLAIN = 1.0 / 16.0
 
 _NO_PERIOD = (
@@ -99,7 +100,7 @@ def _groups(fast: Any) -> tuple[int, ...]:
     """Return the sorted force groups of the argument `fast`; raise ValueError for any other argument."""
     try:
         groups = {operator.index(group) for group in fast}
-    except TypeError:  # a number, a force, or names
+    except TypeError:  # such as a number, a force or names
         groups = set()
     if not groups or not groups <= set(range(32)):
         raise ValueError(
@@ -141,7 +142,7 @@ class FastForces:
         return self.settings.scheme or look_up(_usual(outer)[0])
 
     def repetitions(self, outer: Scheme, h: float) -> Callable[[float], int]:
-        """Return the function from the time of a drift (ps) to its number of inner steps, for the outer step h (ps)."""
+        """Return a function that gives the number of inner steps of a drift over a time (ps) within a step h (ps)."""
         if self.settings.steps:
             rate = self.settings.steps / abs(h) if h else 0.0
             return cache(lambda tau: max(1, round(rate * abs(tau))))
@@ -207,8 +208,8 @@ def _bonded(system: openmm.System, bodies: RigidBodies, settings: MultipleTimeSt
         return FastForces(settings, frequency, excerpt) if frequency and others(system) else None
     if excerpt is None:
         raise ValueError(
-            "the System has no bonded forces that change its motion, so inner steps are of no use: omit fast=, inner= "
-            "and innerSteps="
+            "the System contains no bonded forces that change its motion, so inner steps have no effect: omit "
+            "fast=, inner= and innerSteps="
         )
     if not others(system):
         raise ValueError(
@@ -225,8 +226,8 @@ def _of_groups(system: openmm.System, settings: MultipleTimeSteps) -> FastForces
     groups = tuple(group for group in map(int, settings.fast) if group in present)
     if not groups:
         warn(
-            f"{_NO_INNER_STEPS}the force groups of fast=, {', '.join(map(str, settings.fast))}, contain no forces: "
-            f"choose from the force groups of this System, {', '.join(map(str, sorted(present))) or 'empty'}"
+            f"{_NO_INNER_STEPS}the force groups in fast= ({', '.join(map(str, settings.fast))}) contain no forces: "
+            f"choose from the force groups of this System ({', '.join(map(str, sorted(present))) or 'none'})"
         )
         return None
     if present <= set(groups):

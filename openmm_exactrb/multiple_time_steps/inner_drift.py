@@ -109,7 +109,7 @@ class InnerDrift:
     def _of_others(self, kinetic: Kinetic) -> Flow[State]:
         """Return a drift that is valid for bodies outside the excerpt.
 
-        If possible, this is the drift of rigid bodies, which is cheaper.
+        If no nonrigid cluster is outside the excerpt, this is the cheaper drift of rigid bodies.
         """
         clusters_outside = len(self._part.clusters) < len(self._bodies.clusters)
         return kinetic.drift if clusters_outside or not only_distances() else self._rigid.drift

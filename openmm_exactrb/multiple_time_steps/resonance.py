@@ -1,4 +1,4 @@
-"""Resonances of multiple time steps: slow forces drive a fast motion if a step is a multiple of half its period.
+"""Resonances of multiple time steps: slow forces drive a fast motion if the step is a multiple of half the period.
 
 J. J. Biesiadecki and R. D. Skeel, J. Comput. Phys. 109, 318 (1993), doi:10.1006/jcph.1993.1220.
 """
@@ -23,10 +23,10 @@ from openmm_exactrb.support.warn import warn
 
 # Stiffness of slow forces in kJ/mol/nm²: that of hydrogen in water, whose librations have a frequency of 112/ps.
 _SLOW = 112.0**2
-# Growth rate of amplitudes (1/ps) above which a resonance is relevant; friction of 5/ps compensates this rate.
+# Growth rate of amplitudes (1/ps) above which a resonance is relevant; a friction of 5/ps compensates this rate.
 _GROWTH = 2.5
 # The period of the fastest normal mode of alanine dipeptide relative to that of its fastest isolated bond or angle. The
-# second number is the largest mass (amu) of an atom whose bond is a separate mode: hydrogen, also if made heavier.
+# second number is the largest mass (amu) of an atom whose bond is a separate mode: hydrogen, including heavy hydrogen.
 _COUPLED, _LIGHT = 0.8, 4.0
 _HEAVY = 2.5  # in amu; hydrogen and deuterium below this mass could be made heavier
 _HARMONICS = 6

@@ -12,7 +12,7 @@ from openmm_exactrb.multiple_time_steps.bonded import LENNARD_JONES, PAIR, Bonde
 from openmm_exactrb.openmm_access import arrays, parameters
 from openmm_exactrb.support.types import Array, Indices
 
-# Lengths (nm) at which the minimum of a bond is sought.
+# Lengths (nm) at which the energy minimum of a bond is sought.
 _LENGTHS = np.linspace(0.05, 0.3, 251)
 _SPRINGS = openmm.HarmonicBondForce, openmm.HarmonicAngleForce, openmm.CustomBondForce
 
@@ -94,7 +94,7 @@ def _bonds(bonds: Bonded) -> tuple[Indices, Array, Array] | None:
     """Return the particles, lengths (nm) and strengths (kJ/mol/nm²) of bonds, or None for other forces."""
     if isinstance(bonds.force, openmm.HarmonicBondForce):
         return bonds.particles, *bonds.numbers.T
-    # Pairs three bonds apart are not bonds: they never reach the minima of their formulas.
+    # Pairs three bonds apart are not treated as bonds: their distances never reach the minima of their formulas.
     if isinstance(bonds.force, openmm.CustomBondForce):
         formula = bonds.force.getEnergyFunction()
         if formula != PAIR and not LENNARD_JONES.fullmatch(formula.replace(" ", "")):
@@ -106,7 +106,7 @@ def _bonds_by_formula(bonds: Bonded) -> tuple[Indices, Array, Array] | None:
     """Return the results of `_bonds` for bonds with a formula, from the zero of the force and its slope there."""
     if not len(bonds.whole):
         return None
-    forces = _at_lengths(bonds, _LENGTHS)  # positive values attract
+    forces = _at_lengths(bonds, _LENGTHS)  # attractive where positive
     turns = (forces[:-1] <= 0.0) & (forces[1:] > 0.0)
     slopes = np.diff(forces, axis=0) / np.diff(_LENGTHS)[:, None]
     found = np.flatnonzero(turns.any(axis=0))

@@ -16,7 +16,7 @@ Named = Sequence[Sequence[int]] | None
 
 
 def molecule_of(context: Any, named: Named) -> Indices:
-    """Return the index (n_particles,) of the molecule of each particle; a body in `named` joins its molecules.
+    """Return the index (n_particles,) of the molecule of each particle; a body in `named` merges its molecules.
 
     Molecules are those of ``Context.getMolecules``: particles connected by constraints or bonds of any force.
     """

@@ -21,7 +21,8 @@ from openmm_exactrb.support.types import Array, Indices
 #: Integers (n, k) of terms, such as particles, and real numbers (n, m), in the order and the units of OpenMM.
 Rows = tuple[Indices, Array]
 
-# The name of the terms of each force, and their numbers of integers and of real numbers, None if these are in an array.
+# For each force: the name of its terms, and their numbers of integers and of real numbers (None if OpenMM returns the
+# real numbers in an array).
 _TERMS = {
     openmm.HarmonicBondForce: ("Bond", 2, 2),
     openmm.HarmonicAngleForce: ("Angle", 3, 2),

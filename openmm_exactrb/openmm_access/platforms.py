@@ -71,7 +71,7 @@ def no_gpu(context: Any) -> str | None:
 
 
 def mixed(platform: openmm.Platform) -> dict[str, str]:
-    """Return the properties for mixed precision if a platform supports it; the default loses digits of the energy."""
+    """Return properties for mixed precision if a platform supports it; single precision loses digits of the energy."""
     return {_PRECISION: "mixed"} if _PRECISION in platform.getPropertyNames() else {}
 
 

@@ -24,7 +24,7 @@ def plain(value: Any, in_unit: unit.Unit, what: str) -> float:
     if unit.is_quantity(value):
         if not quantity.unit.is_compatible(in_unit):
             raise ValueError(
-                f"{value} is not {what}: give a number in {in_unit.get_symbol()}, or a Quantity with compatible units"
+                f"{value} is not {what}: pass a number in {in_unit.get_symbol()}, or a Quantity with compatible units"
             )
         quantity = quantity.value_in_unit(in_unit)
     return checks.number(quantity, what, in_unit.get_symbol())
@@ -45,7 +45,7 @@ def not_negative(value: Any, in_unit: unit.Unit, what: str) -> float:
     """Return a finite number of at least 0 in a unit; see `plain`."""
     number = plain(value, in_unit, what)
     if number < 0.0:
-        raise ValueError(f"{what} must not be negative, not {value}")
+        raise ValueError(f"{what} must be at least 0, not {value}")
     return number
 
 

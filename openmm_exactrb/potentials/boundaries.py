@@ -70,7 +70,7 @@ class _Periodic:
         reaction(self.dielectric)
 
     def distances(self, box: Edges | None) -> tuple[float, float]:
-        """Return cutoff and start of the switch (nm); raise ValueError if there is no box or it is too small."""
+        """Return the cutoff and the start of the switch (nm); raise ValueError if the box is missing or too small."""
         if box is None:
             raise ValueError(f"{self} needs a periodic box: add box=(a, b, c), with edges in nm")
         cutoff = 0.5 * min(box) if self.cutoff is None else _plain(self.cutoff)
@@ -119,8 +119,8 @@ class Ewald(_Periodic):
     The sum in reciprocal space is direct, or uses a mesh (smooth particle mesh Ewald). Omitted parameters are chosen
     such that the sum is fast and meets the tolerance; ``getParameters`` returns them. The spheres of `dipole_fluid`
     have a separate cutoff. Forces are the exact gradient of the energy. In a fixed box the energy is therefore smooth
-    for any tolerance, and a symplectic scheme conserves it. If the box changes, the energy jumps by at most about the
-    tolerance. An Ewald sum needs the compiled kernel, or ``kernel="openmm"`` of `dipole_fluid`.
+    for any tolerance, and a symplectic scheme conserves the energy. If the box changes, the energy jumps by at most
+    about the tolerance. An Ewald sum needs the compiled kernel, or ``kernel="openmm"`` of `dipole_fluid`.
 
     Parameters
     ----------
@@ -156,13 +156,13 @@ class Ewald(_Periodic):
         if not 1e-13 <= checks.number(self.tolerance, "tolerance") <= 1e-2:
             raise ValueError(f"tolerance must be between 1e-13 and 1e-2, not {self.tolerance!r}")
         if self.method not in ("auto", "direct", "mesh"):
-            raise ValueError(f"unknown method {self.method!r}: choose one of auto, direct, mesh")
+            raise ValueError(f"the method {self.method!r} is unknown: choose one of auto, direct, mesh")
         if self.method == "direct" and not (self.mesh is None and self.order is None):
             raise ValueError("the direct sum has no mesh: omit mesh and order, or use method='mesh'")
         if self.order is not None and (checks.whole(self.order, "order") % 2 or not 4 <= self.order <= 16):
             raise ValueError(f"order must be an even number from 4 to 16, not {self.order!r}")
         if self.mesh is not None:
-            import scipy.fft  # slow
+            import scipy.fft  # slow to import
 
             for points in np.ravel(self.mesh):
                 fast = scipy.fft.next_fast_len(checks.whole(points, "each number of points of the mesh"), real=True)
@@ -261,7 +261,7 @@ def edges_of(box: Sequence[float]) -> Edges:
 
 
 def check_cutoff(cutoff: float, edges: Sequence[float], name: str = "cutoff") -> None:
-    """Raise ValueError if a cutoff allows more than one nearest image in a box with these edges (nm)."""
+    """Raise ValueError if a cutoff is longer than half the shortest edge of a box (lengths in nm)."""
     half = 0.5 * min(edges)
     if not cutoff <= half * (1.0 + 1e-12):
         raise ValueError(

@@ -147,7 +147,7 @@ def spheres_of(
 def _chosen(kernel: str, *, needs_compiled: bool) -> str:
     """Return the kernel of the force: "openmm", "bonds" or "compiled". An Ewald sum needs "compiled"."""
     if kernel not in ("auto", "openmm", "bonds", "compiled"):
-        raise ValueError(f"unknown kernel {kernel!r}: choose one of auto, openmm, bonds, compiled")
+        raise ValueError(f"the kernel {kernel!r} is unknown: choose one of auto, openmm, bonds, compiled")
     if needs_compiled and kernel not in ("auto", "compiled"):
         raise ValueError(
             "only the compiled kernel computes an Ewald sum in a single force: use kernel='compiled', "
@@ -177,7 +177,7 @@ def checked_pairs(pairs: Any, name: str = "arrow", ends: str = "centre, tip") ->
     particles = list(itertools.chain(*rows))
     if len({*particles}) < len(particles):
         twice = next(i for i in particles if particles.count(i) > 1)
-        raise ValueError(f"particle {twice} occurs twice in the {name}s: give each {name} its own two particles")
+        raise ValueError(f"particle {twice} occurs twice in the {name}s: use two separate particles for each {name}")
     return [(first, second) for first, second in rows]
 
 
@@ -191,7 +191,7 @@ def context_parameters(
     if checks.number(attraction, "attraction"):
         parameters["soft_attraction"] = 4.0 * epsilon * sigma**6 * attraction
     if wca and not (attraction > 0.0 and epsilon > 0.0):
-        raise ValueError("wca=True needs an energy with a minimum: give a positive attraction and a positive epsilon")
+        raise ValueError("wca=True needs an energy with a minimum: set attraction and epsilon to positive numbers")
     return parameters
 
 
@@ -232,7 +232,7 @@ class SoftDipoles:
             self.spheres = spheres.cutoff, spheres.switch, spheres.shifted
 
     def __call__(self, state: openmm.State) -> tuple[float, Array]:
-        """Return energy (kJ/mol) and forces (kJ/mol/nm) on alternating centres and tips."""
+        """Return the energy (kJ/mol) and the forces (kJ/mol/nm) on alternating centres and tips."""
         box = self.truncation and state.getPeriodicBoxVectors(asNumpy=True)._value
         return self.energy_and_forces(arrays.positions(state), dict(state.getParameters()), box)
 

@@ -11,14 +11,14 @@ from openmm_exactrb.potentials import ewald_errors as errors
 
 Edges: TypeAlias = tuple[float, float, float]
 
-#: Largest number of waves of a direct sum, which take 100 MB, and 1 ms per dipole.
+#: Largest number of waves of a direct sum. So many waves take 100 MB, and 1 ms per dipole.
 MOST_WAVES = 1_000_000
 #: Largest number of mesh points along an edge; a cubic mesh of this size takes 2 GB.
 MOST_POINTS = 512
 
 # Times in ns: per pair in a row of all pairs, per pair found through cells, per wave and dipole, per mesh point, per
-# dipole and point under its spline, and per mesh. The last number is the largest cutoff, relative to the box, with
-# cells.
+# dipole and point under its spline, and per mesh. The last number is the largest cutoff, relative to the shortest edge,
+# at which cells are used.
 _ROW, _CELL, _WAVE, _POINT, _SPLINE, _MESH, _WHOLE = 9.3, 12.0, 1.0, 15.0, 0.85, 2e5, 0.4
 
 #: Smallest tolerance for which a mesh is chosen. Below this tolerance, the a priori error of a mesh is dominated by
@@ -47,7 +47,7 @@ def direct(n: int, edges: Edges, cutoff: float, switch: float, tolerance: float)
 
     The truncation errors of the two sums are exp(-x²) with x = alpha switch, and exp(-y²) with y = k_max/(2 alpha),
     times powers of x or y and of a, where a is alpha times the distance between dipoles. The powers are those for
-    random dipoles; their factors are the largest that were measured in liquids and gases of 8 to 256 dipoles. The
+    random dipoles. The factors are the largest that were measured in liquids and gases of 8 to 256 dipoles. The
     tolerance is relative to the root mean square of forces and fields.
     """
     begin = max(switch, 1e-3 * cutoff)  # a start at 0 leads to the error below, not to a division by zero

@@ -110,7 +110,7 @@ def _table(order: int) -> Array:
     volume = weights[:, None, None] * weights[:, None] * weights
     k2 = k[0] ** 2 + k[1] ** 2 + k[2] ** 2
     W2, second, fourth = kernels.load("mesh").alias_sums(k, (1.0, 1.0, 1.0), order)
-    q = np.linspace(math.pi, math.pi + 15.0, 600)  # waves that the mesh does not have, in shells outside the cube
+    q = np.linspace(math.pi, math.pi + 15.0, 600)  # waves outside the mesh, in shells around the cube
     shells = 4.0 * math.pi * q**2 * np.clip(3.0 - 3.0 * math.pi / q, 0.0, 1.0) * (q[1] - q[0])
     rows = []
     for width in _WIDTHS:
@@ -119,7 +119,7 @@ def _table(order: int) -> Array:
         force = (volume * (second * fourth * mesh**2 - 2.0 * mesh * k2**3 * W2 * exact + k2**3 * exact**2)).sum()
         field = (volume * (second**2 * mesh**2 - 2.0 * mesh * k2**2 * W2 * exact + k2**2 * exact**2)).sum()
         force, field = (
-            value + 1e-16 * (volume * k2**power * exact**2).sum()  # below this, the difference is roundoff
+            value + 1e-16 * (volume * k2**power * exact**2).sum()  # smaller differences are roundoff
             for value, power in ((force, 3), (field, 2))
         )
         rows.append([force + (shells * q**6 * beyond**2).sum(), 3.0 * (field + (shells * q**4 * beyond**2).sum())])

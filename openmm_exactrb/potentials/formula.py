@@ -23,7 +23,7 @@ def soft_dipole_bonds(
 
     With a truncation of the dipoles (cutoff and switch in nm, strength of the reaction field in 1/nm³) and of the
     spheres, the Context parameters include the edges of the box, box_x, box_y and box_z. In OpenMM, a formula with
-    products of coordinates, one reciprocal and one square root is three times faster than the same energy in terms of
+    products of coordinates, one reciprocal and one square root is three times as fast as the same energy in terms of
     `distance` or powers of r.
     """
     force = openmm.CustomCompoundBondForce(
@@ -69,7 +69,7 @@ def soft_dipole_hbonds(
 def soft_rod_energy(
     truncation: Truncation, spheres: SphereCutoff, coupling: float, length: float, *, attracts: bool, wca: bool
 ) -> str:
-    """Return the formula of two dipolar spheres minus the Coulomb energy of their rods; donors are (centre, plus).
+    """Return the energy of two dipolar spheres minus the Coulomb energy of their rods; donors are (centre, plus).
 
     u and v are the vectors of the rods. The minus ends are computed from the length of the rods, because PoCL crashes
     with three particles per donor. The nearest images of centres and of ends can differ only beyond the cutoff of the
@@ -93,7 +93,7 @@ def add_hbonds(
     parameters: Mapping[str, float],
     cutoff: float,
 ) -> None:
-    """Add each pair as a donor and as an acceptor that do not interact; the cutoff (nm) is between first particles."""
+    """Add each pair as a donor and as an acceptor that do not interact; the cutoff (nm) is for first particles."""
     for name, value in parameters.items():
         force.addGlobalParameter(name, value)
     for i, (first, second) in enumerate(pairs):

@@ -44,7 +44,7 @@ class GayBerne:
         self.law = (chi, chi_prime, sigma, min(1.0, kappa) * sigma, 4.0 * epsilon, cutoff, switch)
 
     def __call__(self, state: openmm.State) -> tuple[float, Array]:
-        """Return energy (kJ/mol) and forces (kJ/mol/nm) on alternating centres and points on the axes."""
+        """Return the energy (kJ/mol) and the forces (kJ/mol/nm) on alternating centres and axis points."""
         return self.energy_and_forces(arrays.positions(state), state.getPeriodicBoxVectors(asNumpy=True)._value)
 
     def energy_and_forces(self, positions: Array, box: Array) -> tuple[float, Array]:

@@ -42,7 +42,7 @@ def dipole_rod_forces(
     Two charges at the ends of a rod represent each dipole in the particle mesh Ewald sum of a `NonbondedForce`. Within
     the cutoff a `CustomHbondForce` adds the energy of the spheres, and the energy of point dipoles minus the Coulomb
     energy of the rods, with the switch of `soft_dipole_force`. Beyond the cutoff the octupoles of the rods remain,
-    which cause errors of 0.2 to 0.4 (length/cutoff)² in the torques.
+    which cause relative errors of 0.2 to 0.4 (length/cutoff)² in the torques.
 
     Parameters
     ----------
@@ -55,9 +55,9 @@ def dipole_rod_forces(
     length : float
         Distance between the ends in nm; `rod_length` returns a suitable value.
     boundary : Ewald
-        An Ewald sum with infinite dielectric constant. Its tolerance, at least 1e-4, determines the splitting and the
-        mesh, and holds in double precision; in single precision errors are at least 2e-4. The default cutoff is three
-        times the mean distance of the dipoles.
+        An Ewald sum with an infinite dielectric constant. The tolerance, at least 1e-4, determines the splitting and
+        the mesh. Errors are within the tolerance in double precision, and at least 2e-4 in single precision. The
+        default cutoff is three times the mean distance of the dipoles.
     centres : sequence of int
         Particles or virtual sites in the middle of the rods.
 
@@ -84,7 +84,9 @@ def dipole_rod_forces(
     spheres = spheres_of(edges, sigma, attraction, sphere_cutoff, sphere_switch, shifted=shifted, wca=wca)
     assert spheres is not None
     if len(centres) != len(rods):
-        raise ValueError(f"centres must have one entry for each of the {len(rods)} rods, not {len(centres)}")
+        raise ValueError(
+            f"centres must contain one particle for each rod, so the length must be {len(rods)}, not {len(centres)}"
+        )
     if not cutoff + length < 0.5 * min(edges):
         raise ValueError(
             f"cutoff + length, {cutoff + length:g} nm, must be below half the shortest edge of the box, "
@@ -120,7 +122,7 @@ def rod_length(n: int, box: Sequence[float], boundary: Ewald) -> float:
 
 
 def _distances(n: int, edges: Edges, boundary: Ewald) -> tuple[float, float]:
-    """Return cutoff and start of the switch (nm); raise ValueError if rods do not support the boundary."""
+    """Return the cutoff and the start of the switch (nm); raise ValueError if rods do not support the boundary."""
     if not isinstance(boundary, Ewald) or not math.isinf(boundary.dielectric):
         raise ValueError(f"rods of charges need boundary=Ewald() with an infinite dielectric, not {boundary!r}")
     if boundary.tolerance < LEAST_TOLERANCE:

@@ -67,8 +67,8 @@ def long_range_correction(
 ) -> openmm.CustomVolumeForce:
     """Return a force for the mean energy of n spheres beyond their cutoff, which depends only on the volume.
 
-    The arguments are those of `soft_dipole_force`, and so are the Context parameters `soft_repulsion` and, with an
-    attraction, `soft_attraction`. A ValueError is raised for spheres without a cutoff.
+    The arguments and the Context parameters `soft_repulsion` and, with an attraction, `soft_attraction` are those of
+    `soft_dipole_force`. A ValueError is raised for spheres without a cutoff.
     """
     spheres = None if wca else cutoff_in(edges, sigma, sphere_cutoff, sphere_switch, shifted=shifted)
     if spheres is None:

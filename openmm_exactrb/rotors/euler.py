@@ -1,8 +1,8 @@
 """The momentum of a free rigid body in Jacobi's elliptic functions, shared by all formulations of Celledoni et al.
 
-Let I1 < I2 < I3 and x = m/norm(m). In case (a), 2T I2 > 1, the momentum circles axis j = 1 and l is 3; in case (b), 2T
-I2 < 1, it circles axis j = 3 and l is 1. A half turn about a principal axis makes x1, x3 >= 0. Both signs in equations
-(5) and (6) are then plus: x_j = A_j dn u, x2 = A2 sn u, x_l = A_l cn u, u = u0 + lambda t.
+Let I1 < I2 < I3 and x = m/norm(m). In case (a), 2T I2 > 1, the momentum circles axis j = 1, and l is 3. In case (b), 2T
+I2 < 1, the momentum circles axis j = 3, and l is 1. A half turn about a principal axis makes x1, x3 >= 0. Both signs in
+equations (5) and (6) are then plus: x_j = A_j dn u, x2 = A2 sn u, x_l = A_l cn u, u = u0 + lambda t.
 
 E. Celledoni, F. Fassò, N. Säfström and A. Zanna, section 2.1, doi:10.1137/070704393. The paper's 1 - 2T I_i and 1 - k²
 are computed here without cancellation, except for 1 - 2T I2, which vanishes on the separatrix. At a relative distance S
@@ -137,7 +137,7 @@ def carlson(orbit: Orbit, nc: Array) -> Array:
 
 
 def gauss(points: int) -> ThirdKind:
-    """Return a `ThirdKind` that integrates by Gauss's rule in the amplitude, with a number of points: equation (39).
+    """Return a `ThirdKind` that integrates over the amplitude by Gauss's rule with `points` points: equation (39).
 
     The error is of order 2 points + 1 in the step. This error is large if the amplitude changes by more than about one
     radian during the step; near the separatrix, smaller changes suffice.

@@ -27,7 +27,7 @@ from openmm_exactrb.rotors.flow import Flow
 from openmm_exactrb.support.types import Array
 from openmm_exactrb.support.warn import warn
 
-#: Steps of the fixed point iteration after which a body counts as not converged.
+#: Number of fixed-point iterations after which a body is considered not converged.
 MOST_ITERATIONS = 200
 # The iteration ends when its last change is below this fraction of the momentum.
 _CONVERGED = 1e-15

@@ -43,7 +43,7 @@ class Rotor:
     keeps_energy : bool
         Whether the kinetic energy is conserved to roundoff; if not, it is conserved to the order of the flow.
     largest_angle : float
-        Largest h norm(m)/min(I), with the step size h, at which the flow works for every body.
+        Largest h norm(m)/min(I), with the step size h, up to which the flow has a result for every body.
     sums : bool
         Whether the flow also accepts the double-doubles of `openmm_exactrb.mathematics.compensated`.
     """
@@ -104,7 +104,7 @@ def look_up(rotor: str | Rotor) -> Rotor:
     if isinstance(rotor, Rotor):
         return rotor
     if not isinstance(rotor, str) or rotor not in ROTORS:
-        raise ValueError(f"unknown rotor {rotor!r}: choose one of {', '.join(ROTORS)}, or pass a Rotor")
+        raise ValueError(f"the rotor {rotor!r} is unknown: choose one of {', '.join(ROTORS)}, or pass a Rotor")
     return ROTORS[rotor]
 
 
@@ -126,7 +126,7 @@ def _columns(inertia: ArrayLike) -> Array:
     if moments.ndim not in (1, 2) or moments.shape[-1] != 3:
         raise ValueError(f"inertia must have the shape (3,) or (N, 3), not {moments.shape}")
     if not (np.isfinite(moments).all() and (moments > 0.0).all()):
-        raise ValueError("inertia must be positive and finite: give the three principal moments of each body")
+        raise ValueError("inertia must be positive and finite: pass the three principal moments of each body")
     least, largest = moments.min(axis=-1), moments.max(axis=-1)
     if (least < np.maximum(SMALLEST_MOMENT, largest / WIDEST)).any() or (largest > LARGEST_MOMENT).any():
         raise ValueError(

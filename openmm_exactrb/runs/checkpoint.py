@@ -23,7 +23,7 @@ class Checkpoint(NamedTuple):
     #: Step number of the checkpoint, and of the start of the run.
     step: int
     first: int
-    #: Seconds that the run took until the checkpoint.
+    #: Wall time in s of the run until the checkpoint.
     wall: float
     #: Timings of the integrator, by name.
     timings: dict[str, float]
@@ -51,8 +51,8 @@ class Checkpoint(NamedTuple):
             found = file.stat().st_size if file.exists() else 0
             if found < length:
                 raise ValueError(
-                    f"{file} has {found} bytes, but had {length} at the checkpoint: restore the file, or "
-                    "overwrite the run (overwrite=True or --overwrite)"
+                    f"{file} has {found} bytes, but had {length} at the checkpoint: restore the file, or overwrite "
+                    "the run (overwrite=True or --overwrite)"
                 )
 
 

@@ -41,12 +41,14 @@ class Outputs:
         if not callable(factory):
             raise ValueError(f"a reporter must be a class such as openmm.app.DCDReporter, not {factory!r}")
         if name in self._factories:
-            raise ValueError(f"the file {name} already has a reporter: give the new reporter another file name")
+            raise ValueError(
+                f"another reporter already writes the file {name}: choose another file name for the new reporter"
+            )
         parameters = inspect.signature(factory).parameters
         if "append" not in parameters and not any(p.kind is p.VAR_KEYWORD for p in parameters.values()):
             raise ValueError(
-                f"{_name_of(factory)} cannot resume a file, because it has no argument append=: use a reporter with "
-                "append=, such as DCDReporter, or append this reporter to simulation.reporters"
+                f"{_name_of(factory)} cannot resume a file, because this class has no argument append=: use a "
+                "reporter with append=, such as DCDReporter, or append this reporter to simulation.reporters"
             )
         self._factories[name] = factory, interval
 
@@ -57,7 +59,7 @@ class Outputs:
         }
 
     def open(self, simulation: Any, files: Mapping[str, tuple[int, str]], first: int) -> None:
-        """Open the files, truncated to their lengths at a checkpoint; write the start to new files."""
+        """Open the files, truncated to their lengths at a checkpoint; write the initial state to new files."""
         requests = {}
         for name, (factory, interval) in self._factories.items():
             length, head = files.get(name, (0, ""))

@@ -51,14 +51,13 @@ class Run:
     every : float, optional
         Seconds between two checkpoints; infinity for a single checkpoint at the end.
     settings : mapping, optional
-        Further values that must be the same when the run is resumed, in addition to System, integrator, platform and
-        reporters.
+        Values that must be the same when the run is resumed, in addition to System, integrator, platform and reporters.
 
     Attributes
     ----------
     folder : path
     resuming : bool
-        Whether there is a checkpoint to continue from.
+        Whether the run continues from a checkpoint.
     wall : float
         Wall time of the run so far in s, excluding the time lost to interruptions.
 
@@ -98,10 +97,16 @@ class Run:
     def add_options(parser: argparse.ArgumentParser, folder: str = "out") -> None:
         """Add the options --out, --overwrite, --resume and --checkpoint to a command line."""
         add = parser.add_argument
-        add("--out", type=Path, default=Path(folder), metavar="DIR", help="output folder (%(default)s)")
+        add("--out", type=Path, default=Path(folder), metavar="DIR", help="output folder (default: %(default)s)")
         add("--overwrite", action="store_true", help="replace the files of an earlier run")
         add("--resume", action="store_true", help="continue from the last checkpoint of the same command")
-        add("--checkpoint", type=float, default=60.0, metavar="S", help="seconds between checkpoints (%(default)s)")
+        add(
+            "--checkpoint",
+            type=float,
+            default=60.0,
+            metavar="S",
+            help="seconds between checkpoints (default: %(default)s)",
+        )
 
     @classmethod
     def from_options(cls, args: argparse.Namespace, subfolder: str = "", *, free: Iterable[str] = ()) -> Run:
@@ -140,7 +145,7 @@ class Run:
         name : str
             Name of the file in the folder.
         interval : int
-            Number of steps between two reports; the start is reported too.
+            Number of steps between two reports; the initial state is also reported.
 
         Raises
         ------
@@ -151,7 +156,7 @@ class Run:
             another reporter or to the run itself.
         """
         if name in (CHECKPOINT, TOPOLOGY):
-            raise ValueError(f"{name} is a file of the run itself: give the reporter another file name")
+            raise ValueError(f"{name} is a file of the run itself: choose another file name for the reporter")
         self.path(name)
         self._outputs.add(reporter, name, whole(interval, "interval", of="steps"))
 
@@ -165,8 +170,9 @@ class Run:
         Parameters
         ----------
         simulation : openmm.app.Simulation
-            A Simulation at its start. When a run is resumed, the state of the Simulation is ignored, except for its
-            positions. The positions define the shapes of the bodies in `bodies`, and must be those of the first start.
+            A Simulation in its initial state. When a run is resumed, the state of the Simulation is ignored, except for
+            its positions. The positions define the shapes of the bodies in `bodies`, and must be those of the first
+            start.
         until : int
             Number of the last step.
         progress : callable, optional

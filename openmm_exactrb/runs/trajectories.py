@@ -12,7 +12,7 @@ from openmm import app
 
 
 def begin_with_the_start(reporter: Any, simulation: Any, first: int, interval: int, append: bool) -> None:
-    """Label the first frame of a trajectory with step `first`; OpenMM's reporters label it one interval later."""
+    """Label the first frame of a trajectory with step `first`; OpenMM's reporters use a step one interval later."""
     about = simulation.integrator.getStepSize(), first, interval, append
     if isinstance(reporter, app.DCDReporter):
         reporter._dcd = app.DCDFile(reporter._out, _topology(reporter, simulation), *about)
@@ -42,4 +42,4 @@ def check_lost_frames(reporter: Any, file: Path) -> None:
     except Exception:  # any error that a truncated frame causes
         found = None
     if found != written:
-        raise OSError(f"{file} lacks some of its {written} frames: check whether the disk is full")
+        raise OSError(f"{file} does not contain all {written} frames that were written: check whether the disk is full")

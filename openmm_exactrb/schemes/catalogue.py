@@ -349,7 +349,7 @@ def _found(name: str | Scheme, schemes: Mapping[str, Scheme]) -> Scheme:
     meant = _meant(name, schemes)
     hint = f": did you mean {meant!r}? A" if meant else ": a"
     more = " and openmm_exactrb.schemes.WITH_THERMOSTAT" if len(schemes) > len(CATALOGUE) else ""
-    raise ValueError(f"unknown scheme {name!r}{hint}ll names are in openmm_exactrb.SCHEMES{more}")
+    raise ValueError(f"the scheme {name!r} is unknown{hint}ll names are in openmm_exactrb.SCHEMES{more}")
 
 
 def _meant(name: str, schemes: Mapping[str, Scheme]) -> str | None:

@@ -80,7 +80,7 @@ def corrected(kernel: Scheme, terms: int, name: str, generalised: tuple[int, ...
     matched up to the power 2 `terms` - 1 of x. J. Wisdom, M. Holman and J. Touma, Fields Inst. Commun. 10, 217 (1996);
     Wisdom, Astron. J. 131, 2294 (2006), doi:10.1086/500829.
     """
-    # Sizes i alpha of the drifts as Wisdom chose them, alpha² = 7/40.
+    # Sizes i alpha of the drifts, with Wisdom's choice alpha² = 7/40.
     square = Fraction(7, 40)
     # (x/2)/sinh(x/2) = sum_j s_j x^2j, by division of the series.
     inverse = [Fraction(1, 4**j * math.factorial(2 * j + 1)) for j in range(terms + 1)]

@@ -5,7 +5,7 @@ M^-1 f, where f is the force. With such kicks, schemes of order 4 need no negati
 
 The terms of higher order are not the gradient of a potential and cause a drift of the energy. Positions are therefore
 displaced by only e h² F/M / k, where k is `MAGNIFICATION`, and the change of the forces is multiplied by k. The
-force-gradient term and the cost are the same, and the error is k times smaller. Rounding errors of the forces are also
+force-gradient term and the cost do not change, and the error is k times smaller. Rounding errors of the forces are also
 multiplied by k, so that k must not be large.
 """
 
@@ -77,8 +77,8 @@ def force_gradient(
     half = (len(kicks) + 1) // 2
     if kicks[:half].count("C") != len(e):
         raise ValueError(
-            f"scheme {name}: e has {len(e)} numbers, but needs {kicks[:half].count('C')}: one for each C in the "
-            f"first half of {pattern!r}, including a C in the middle"
+            f"scheme {name}: the length of e must be {kicks[:half].count('C')}, not {len(e)}: pass one number for "
+            f"each C in the first half of {pattern!r}, including a C in the middle"
         )
     if not (math.isfinite(magnification) and magnification):
         raise ValueError(f"scheme {name}: magnification must be a finite number other than 0, not {magnification}")
@@ -105,19 +105,19 @@ def _takahashi_imada(magnification: float) -> Scheme:
     )
 
 
-#: A kick between half drifts: of order 2, and of order 4 after a change of coordinates.
+#: A force-gradient kick between half drifts, of order 2, or of order 4 after a change of coordinates.
 TAKAHASHI_IMADA = _takahashi_imada(MAGNIFICATION)
 _MIRRORED = _takahashi_imada(-MAGNIFICATION)
-#: Two such steps of half the size, with displacements of opposite sign, in which terms beyond first order cancel. The
-#: sequence is not a palindrome, but time-reversible up to the remaining terms.
+#: Two steps of `TAKAHASHI_IMADA` of half the size, with displacements of opposite sign, in which terms beyond first
+#: order cancel. The sequence is not a palindrome, but time-reversible up to the remaining terms.
 TAKAHASHI_IMADA_PAIR = replace(
     TAKAHASHI_IMADA,
     name="TI2 in pairs",
     sequence=merged((substep, 0.5 * part) for substep, part in (*TAKAHASHI_IMADA.sequence, *_MIRRORED.sequence)),
 )
 
-#: Schemes by number of force evaluations per step, including those at displaced positions. The tables of Schäfers et
-#: al. are for kicks by forces at displaced positions: e = 2 c/b in their notation.
+#: Schemes, sorted by the number of force evaluations per step, including those at displaced positions. The tables of
+#: Schäfers et al. are for kicks by forces at displaced positions: e = 2 c/b in their notation.
 FORCE_GRADIENT = (
     TAKAHASHI_IMADA,
     force_gradient("Chin4A", "BACAB", order=4, b=(1.0 / 6.0,), e=(1.0 / 24.0,), reference=_CHIN),

@@ -66,7 +66,7 @@ class Scheme:
 
     def __post_init__(self) -> None:
         if not self.sequence:
-            raise ValueError(f"scheme {self.name}: the sequence of a step must have at least one substep")
+            raise ValueError(f"scheme {self.name}: the sequence of a step must contain at least one substep")
         for row in (*self.sequence, *self.processor, *self.output):
             if not (isinstance(row, tuple) and len(row) == 2 and isinstance(row[0], Substep)):
                 raise ValueError(
@@ -236,7 +236,8 @@ def palindrome(name: str, table: str, free: Sequence[float], length: int) -> tup
     needed = (length - 1) // 2
     if len(free) != needed:
         raise ValueError(
-            f"scheme {name}: {table} must have {needed} free coefficients ({length} in all), not {len(free)}"
+            f"scheme {name}: the number of free coefficients {table} must be {needed} (of {length} in all), not "
+            f"{len(free)}"
         )
     if not all(math.isfinite(c) for c in free):
         raise ValueError(f"scheme {name}: coefficients {table} must be finite")

@@ -62,8 +62,8 @@ def behind_exchange(sequence: Sequence) -> Sequence:
     """Return the drifts after the last heat exchange if a step ends with them, otherwise an empty sequence.
 
     From one heat exchange to the next, a step is symmetric in time, so that errors of the energy at the exchanges are
-    of order 2. At the end of the step, positions are ahead of momenta, and the errors of the total energy are of order
-    1.
+    of order 2. At the end of the step, positions are at a later time than momenta, and the errors of the total energy
+    are of order 1.
     """
     rows: list[tuple[Substep, float]] = []
     for substep, part in reversed(sequence):
@@ -94,7 +94,7 @@ def spelled(text: str) -> Sequence:
     """
     symbols = text.split()
     if not symbols:
-        raise ValueError('a sequence needs substeps separated by spaces, such as "B A O A B"')
+        raise ValueError(f'a sequence must consist of substeps separated by spaces, such as "B A O A B", not {text!r}')
     return tuple((of_symbol(symbol), 1.0 / symbols.count(symbol)) for symbol in symbols)
 
 
@@ -104,7 +104,7 @@ def bound(sequence: Sequence, flows: Mapping[Substep, Flow[_S]], h: float) -> li
 
 
 def through(rows: Iterable[tuple[Flow[_S], float]], state: _S) -> _S:
-    """Return the state after successive flows, each over its time: the loop of every step."""
+    """Return the state after successive flows, each over its own time."""
     for flow, tau in rows:
         state = flow(state, tau)
     return state

@@ -78,7 +78,7 @@ def shadow(scheme: Scheme, step: float) -> Shadow:
     # 1 - ((qq + pp)/2)², the squared sine of the angle, without its cancellation: the determinant is 1.
     square = -qp * pq - (0.5 * (qq - pp)) ** 2
     if not square > 0.0:
-        raise ValueError(f"{scheme.name} is not stable at a step of {step:g}/omega: use a smaller step")
+        raise ValueError(f"scheme {scheme.name} is not stable at a step of {step:g}/omega: use a smaller step")
     sine = math.copysign(math.sqrt(square), qp)
     width = sine * (math.atan2(sine, 0.5 * (qq + pp)) % (2.0 * math.pi)) / step
     return Shadow(-width / pq, width / qp)

@@ -37,10 +37,10 @@ class StepErrors(NamedTuple):
 
     alpha: float  #: coefficient of v·V''v in the conserved energy
     beta: float  #: coefficient of f·M⁻¹f in the conserved energy
-    late: float  #: y, the drifts between the heat exchange and the end of a step
+    late: float  #: y, the total drift from the heat exchange to the end of a step, in steps
     pushed: float  #: the displacement by kicks between the heat exchange and the end of a step, in h² M⁻¹f
     inner: float  #: y of bodies with inner steps: 0 where `thermostatted.canonical_momenta` defers their drifts
-    barostat: float  #: y of a barostat: the drifts between the heat exchange and its moves
+    barostat: float  #: y of a barostat: the total drift from the heat exchange to a move of the barostat
     quartic: float  #: coefficient of h⁴ omega⁴ kT/2 in the corrected potential energy of an oscillator
 
     @property
@@ -119,6 +119,6 @@ def _around_exchange(scheme: Scheme) -> tuple[Sequence, Sequence]:
         if palindromic(merged(behind + before)):
             return behind, before
     raise ValueError(
-        f"averages of {scheme.name} cannot be corrected, because the theory needs a single heat exchange between "
-        "drifts and kicks that mirror each other: use a scheme such as W2_3m or BAOA"
+        f"averages of scheme {scheme.name} cannot be corrected, because the theory needs a single heat exchange "
+        "between drifts and kicks that mirror each other: use a scheme such as W2_3m or BAOA"
     )

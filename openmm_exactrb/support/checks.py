@@ -89,8 +89,8 @@ def owners(bodies: Sequence[Sequence[int] | Indices], n_particles: int) -> Indic
     owner, numbers = np.full(n_particles, -1), np.repeat(np.arange(len(bodies)), [len(body) for body in bodies])
     particles = np.fromiter(chain.from_iterable(bodies), np.intp, len(numbers))
     for i in np.flatnonzero((particles < 0) | (particles >= n_particles)):
-        named = f"body {numbers[i]} names particle {particles[i]}"
-        raise ValueError(f"{named}, but the System has only the particles 0 to {n_particles - 1}")
+        named = f"the particles of body {numbers[i]} must be numbers from 0 to {n_particles - 1}, not {particles[i]}"
+        raise ValueError(f"{named}: choose particles of the System")
     order = np.argsort(particles, kind="stable")
     for i in np.flatnonzero(np.diff(particles[order]) == 0):
         first, second = numbers[order[i : i + 2]]

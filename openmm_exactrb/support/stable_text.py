@@ -26,7 +26,7 @@ def digest(content: bytes) -> str:
 
 
 def qualified_name(function: Any) -> str:
-    """Return the module and name of a function or class; a script is named as it would be imported."""
+    """Return the module and name of a function or class; a script has the name under which it would be imported."""
     module, main = function.__module__, sys.modules.get("__main__")
     if module == "__main__" and main is not None:
         spec, file = getattr(main, "__spec__", None), getattr(main, "__file__", None)
@@ -57,13 +57,13 @@ def _described(name_of: Callable[[Any], str], value: Any) -> Any:
     """Return a JSON value for an object that JSON itself cannot represent."""
     if isinstance(value, np.generic):
         return value.item()
-    if type(value) in (np.ndarray, np.memmap) and value.dtype.kind in "biufc":  # masks are not in the bytes
+    if type(value) in (np.ndarray, np.memmap) and value.dtype.kind in "biufc":  # the bytes omit masks
         return {"array": [value.dtype.str, value.shape, digest(np.ascontiguousarray(value).tobytes())]}
     if unit.is_quantity(value):
         return {"quantity": [value._value, str(value.unit)]}
     if isinstance(value, os.PathLike):
         return {"path": [os.fspath(value), digest_of_file(value)]}
-    if isinstance(value, openmm.Integrator) and hasattr(value, "getSettings"):  # its XML lacks scheme and friction
+    if isinstance(value, openmm.Integrator) and hasattr(value, "getSettings"):  # the XML lacks scheme and friction
         return {qualified_name(type(value)): value.getSettings()}
     if isinstance(value, _SERIALISABLE):
         return {"openmm": digest(openmm.XmlSerializer.serialize(value).encode())}

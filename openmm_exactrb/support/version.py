@@ -8,7 +8,7 @@ from importlib import metadata
 
 @cache
 def version(otherwise: str = "not installed", package: str = "openmm-exactrb") -> str:
-    """Return the version of a package, or `otherwise` if it is not installed but only a folder on the path."""
+    """Return the version of a package, or `otherwise` if the package is not installed."""
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:

@@ -95,8 +95,8 @@ def ellipsoids(
     cutoff, switch = _truncation(stripped(cutoff, unit.nanometer), stripped(switch, unit.nanometer), kappa, sigma)
     if cutoff > 0.5 * box:
         raise ValueError(
-            f"the cutoff of {cutoff:g} nm is more than half the edge of the box, {box:.3g} nm: use more ellipsoids, or "
-            "a shorter cutoff"
+            f"the cutoff must be at most half the edge of the box, {0.5 * box:.6g} nm, not {cutoff:g} nm: use more "
+            "ellipsoids, or a shorter cutoff"
         )
     centres = box * _lattice(n, np.random.default_rng(checks.whole(seed, "the seed", 0)), box / sigma, kappa)
 
@@ -119,15 +119,15 @@ def _truncation(cutoff: float | None, switch: float | None, kappa: float, sigma:
     cutoff = (max(1.0, kappa) + 1.0) * sigma if cutoff is None else checks.positive(cutoff, "cutoff", "nm")
     switch = 0.9 * cutoff if switch is None else checks.not_negative(switch, "switch")
     if switch >= cutoff:
-        raise ValueError(f"switch={switch:g} nm must be below the cutoff of {cutoff:g} nm")
+        raise ValueError(f"switch must be below the cutoff of {cutoff:g} nm, not {switch:g} nm")
     return cutoff, switch
 
 
 def _lattice(n: int, rng: np.random.Generator, box: float, kappa: float) -> Array:
-    """Return n sites (n, 3) in a unit cube on the close-packed lattice with the farthest neighbours, with vacancies.
+    """Return n sites (n, 3) in a unit cube, on the close-packed lattice with the largest distance of neighbours.
 
-    Vacancies are random. Distances of neighbours are in units of the diameter, and along z in units of the length, so
-    that ellipsoids touch at a distance of 1.
+    Vacancies are at random sites. Distances of neighbours are in units of the diameter, and along z in units of the
+    length, so that ellipsoids touch at a distance of 1.
     """
     layers = [(k, -(-n // (4 * k * k))) for k in range(1, n + 1)]
     room = [_closest(box / k, box / (kappa * m)) for k, m in layers]

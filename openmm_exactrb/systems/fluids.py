@@ -22,7 +22,7 @@ from openmm_exactrb.systems.lattices import cubic_lattice, filling, places_a_sid
 
 _MOMENT = unit.dalton * unit.nanometer**2
 _STIFFNESS = unit.kilojoule_per_mole / unit.nanometer**2
-# Least ratio of the smallest to the largest moment: in thinner bodies distances between sites have too few digits.
+# Smallest ratio of the least to the largest moment of inertia: thinner bodies have inaccurate distances between sites.
 _THINNEST = 1e-6
 #: Equilibrium distance in nm of two head-to-tail dipoles of Celledoni et al. (doi:10.1137/070704393): r^9 = 4.
 BINDING_DISTANCE = 4.0 ** (1.0 / 9.0)
@@ -240,7 +240,7 @@ def _box(n: int, sigma: float, density: float | None, trap: float, boundary: Bou
         return None
     density = 0.8 / sigma**3 if density is None else checks.positive(density, "density", "spheres a nm³")
     if trap > 0.0:
-        raise ValueError("trap= applies only to a droplet: omit trap= for a periodic liquid")
+        raise ValueError("trap= applies only to a droplet, not to a periodic liquid: omit trap=")
     return float((n / density) ** (1.0 / 3.0))
 
 
@@ -286,7 +286,7 @@ def _body_fixed_site(particles: list[int], sites: Array, place: Array) -> openmm
     """
     to_second, to_third = sites[1] - sites[0], sites[2] - sites[0]
     normal, place = np.cross(to_second, to_third), place - sites[0]
-    # Cramer's rule, unlike LAPACK, gives the same bits on every machine, as needed because the text of a System
+    # Cramer's rule, unlike LAPACK, gives the same bits on every machine. This is required because the text of a System
     # identifies a run.
     columns = np.cross(place, to_third), np.cross(to_second, place), place
     weights = (np.array(columns) * normal).sum(axis=1) / (normal * normal).sum() + _OFF_FRACTIONS
@@ -343,7 +343,7 @@ def rigid_water(
         since it has no force constants of bonds and angles.
     """
     if model not in _WATER_MODELS:
-        raise ValueError(f"unknown water model {model!r}: choose one of {', '.join(_WATER_MODELS)}")
+        raise ValueError(f"the water model {model!r} is unknown: choose one of {', '.join(_WATER_MODELS)}")
     n, spacing = checks.whole(n, "n"), checks.positive(stripped(spacing, unit.nanometer), "spacing", "nm")
     file, distance, angle = _WATER_MODELS[model]
     topology = app.Topology()
@@ -366,6 +366,6 @@ def rigid_water(
     modeller.addExtraParticles(force_field)
     system = force_field.createSystem(modeller.topology, **({"rigidWater": True, "removeCMMotion": False} | options))
     if model == "tip4p2005" and system.getNumConstraints() < 3 * n:
-        raise ValueError("tip4p2005 has no force constants of bonds and angles: omit rigidWater=False, or use tip4pew")
+        raise ValueError("tip4p2005 has no force constants for bonds and angles: omit rigidWater=False, or use tip4pew")
     placed = np.array(modeller.positions.value_in_unit(unit.nanometer))
     return modeller.topology, system, unit.Quantity(placed, unit.nanometer)

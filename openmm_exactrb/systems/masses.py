@@ -57,8 +57,8 @@ def heavy_hydrogens(
         raise ValueError(f"water must be True or False, not {water!r}")
     if topology.getNumAtoms() != system.getNumParticles():
         raise ValueError(
-            f"the Topology has {topology.getNumAtoms()} atoms, but the System has {system.getNumParticles()} particles"
-            ": pass the Topology of this System"
+            f"the numbers of atoms in the Topology ({topology.getNumAtoms()}) and of particles in the System "
+            f"({system.getNumParticles()}) differ: pass the Topology of this System"
         )
     left = [system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())]
     bearers = _bearers(topology)

@@ -66,7 +66,7 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         """
         propagator = self._up_to_date()
         if (exchange := propagator.last_exchange) is None:
-            raise ValueError("there has been no heat exchange yet: call step() first")
+            raise ValueError("no heat exchange has taken place yet: call step() first")
         energies = [thermal_energies(propagator, state) for state in exchange]
         return temperatures_of([0.5 * sum(pair) for pair in zip(*energies, strict=True)], freedom_of(propagator))
 
@@ -86,7 +86,7 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
 
 
 class HeatedIntegrator(ThermostattedIntegrator):
-    """An integrator that adds up the heat its thermostat exchanges with the bodies."""
+    """An integrator that sums the heat that its thermostat exchanges with the bodies."""
 
     def heat(self) -> unit.Quantity:
         """Return the energy that the thermostat has added to the bodies since the integrator was created.

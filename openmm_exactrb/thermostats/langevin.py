@@ -240,7 +240,7 @@ class ExactRigidBodyLangevinIntegrator(HeatedIntegrator):
         return self._thermostat.frictions[0] * _RATE
 
     def setFriction(self, coeff: float | unit.Quantity) -> None:
-        """Set the friction of translation, and of rotation unless it is set separately, in 1/ps if it has no unit."""
+        """Set the friction of translation (and of rotation, unless set separately), in 1/ps if it has no unit."""
         self._change(friction=coeff)
 
     def getRotationalFriction(self) -> unit.Quantity:

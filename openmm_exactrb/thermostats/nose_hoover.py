@@ -38,8 +38,8 @@ _SUZUKI = 1.0 / (4.0 - 4.0 ** (1.0 / 3.0))
 _SIXTH = (0.78451361047755726382, 0.23557321335935813368, -1.17767998417887100695)
 #: Weights of the substeps of the chain by the number of substeps, of order 2, 4, 4 and 6: H. Yoshida (1990),
 #: doi:10.1016/0375-9601(90)90092-3, and M. Suzuki (1990), doi:10.1016/0375-9601(90)90962-N. The cubes of the weights of
-#: order 4 add up to zero. OpenMM, GROMACS and others have 2^(-1/3) and 4^(-1/3) instead of 2^(1/3) and 4^(1/3) for 3
-#: and 5 substeps. With these weights, 0.829 and 0.297, the cubes add up to 0.85 and 0.098, and the order is 2.
+#: order 4 add up to zero. OpenMM and GROMACS, for example, use 2^(-1/3) and 4^(-1/3) instead of 2^(1/3) and 4^(1/3) for
+#: 3 and 5 substeps. The cubes of their weights, 0.829 and 0.297, add up to 0.85 and 0.098, and the order is 2.
 WEIGHTS: Mapping[int, tuple[float, ...]] = {
     1: (1.0,),
     3: (_YOSHIDA, 1.0 - 2.0 * _YOSHIDA, _YOSHIDA),
@@ -152,9 +152,9 @@ class NoseHooverChain(Thermostat):
         return scale, moved
 
     def _pushed(self, chain: list[list[float]], kinetic: float, freedom: int, tau: float) -> tuple[float, Array]:
-        # Python floats are used because they are faster than short arrays. The acceleration of a link is frequency²
-        # times (r - 1). Here r is the kinetic energy of the previous link over kT/2 or, for the first link, the kinetic
-        # energy of momenta with f degrees of freedom over f kT/2.
+        # Python floats are faster here than short arrays. The acceleration of a link is frequency² times (r - 1). Here
+        # r is the kinetic energy of the previous link over kT/2 or, for the first link, the kinetic energy of momenta
+        # with f degrees of freedom over f kT/2.
         x, v = chain
         links, scale = range(len(v)), 1.0
         square, ratio = self.collisionFrequency**2, 2.0 * kinetic / (freedom * self._kT)

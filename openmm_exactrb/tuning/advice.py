@@ -165,8 +165,8 @@ def _in_motion(
     at_rest = not state.state.getVelocities(asNumpy=True)._value.any()
     if temperature is None and at_rest:
         raise ValueError(
-            "all velocities of the start are zero, so the energy error is not that of a system in motion: give a "
-            "State with velocities from an equilibrated run, or give a temperature in K"
+            "all velocities of the start are zero, so the energy error is not that of a system in motion: pass a "
+            "State with velocities from an equilibrated run, or set temperature="
         )
     if temperature is None:
         return state

@@ -98,13 +98,13 @@ def schemes_named(names: str | Scheme | Sequence[str | Scheme]) -> list[Scheme]:
     """Return the schemes that a user names, without repetitions; raise ValueError for unknown or ambiguous names."""
     schemes = [look_up(name) for name in ([names] if isinstance(names, (str, Scheme)) else names)]
     if not schemes:
-        raise ValueError(f"schemes is empty: name some of {', '.join(CATALOGUE)}")
+        raise ValueError(f"schemes must contain at least one scheme: choose from {', '.join(CATALOGUE)}")
     known: dict[str, Scheme] = {}
     for scheme in schemes:
         name = scheme.name
         if name.endswith(NESTED) or name == VERLET or known.setdefault(name, CATALOGUE.get(name, scheme)) != scheme:
             raise ValueError(
-                f"a scheme that you passed has the name of another method, {name!r}: give the scheme another name"
+                f"a scheme in schemes= has the name of another method, {name!r}: choose another name for this scheme"
             )
     return list(known.values())
 

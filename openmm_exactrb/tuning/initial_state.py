@@ -105,7 +105,7 @@ def initial_state(
         states.append(start)
         start = None
     elif start is None and not states:
-        raise ValueError("no start was given: pass a State or positions, or a Simulation")
+        raise ValueError("start= is missing: pass a State or positions, or a Simulation")
     twin, left_out = conservative(system)
     gathered = openmm.Context(twin, openmm.VerletIntegrator(0.001), platform_of("Reference"))
     for state in states:
@@ -127,7 +127,7 @@ def _coordinates(values: Any, system: openmm.System, in_unit: unit.Unit, what: s
     if array.shape != (system.getNumParticles(), 3):
         raise ValueError(f"{what} must have the shape ({system.getNumParticles()}, 3), not {array.shape}")
     if not np.isfinite(array).all():
-        raise ValueError(f"{what} are not finite: give finite values")
+        raise ValueError(f"{what} must be finite: replace values that are infinite or nan")
     return array
 
 
@@ -144,7 +144,7 @@ def thermalised(state: InitialState, temperature: float, seed: int, minimised: b
     mean = float(np.mean(kinetic[-last:])) if kinetic else math.inf
     ratio = 2.0 * mean / (freedom * gas_constant_times(temperature))
     if not abs(ratio - 1.0) < _SLACK + _DEVIATIONS * math.sqrt(2.0 / (freedom * last)):
-        raise ValueError(f"the start cannot be brought to {temperature:g} K: minimise its energy first")
+        raise ValueError(f"the start cannot be brought to {temperature:g} K: minimise the energy of the start first")
     return state.updated(context)
 
 

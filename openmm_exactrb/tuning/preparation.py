@@ -20,7 +20,7 @@ from openmm_exactrb.mechanics.divergence import IntegrationError, NonFiniteError
 from openmm_exactrb.mechanics.minimise import MinimisationWarning
 from openmm_exactrb.thermostats import ExactRigidBodyLangevinIntegrator
 
-# Extent in nm that is assigned to a particle, which has no shape.
+# Extent in nm that is assigned to particles without a shape.
 _EXTENT = 0.1
 # Parameters of Langevin dynamics: step in characteristic times, smallest and largest friction in inverse characteristic
 # times, shortest step in times of free bodies, and number of steps after which these times are recomputed.
@@ -61,7 +61,7 @@ def characteristics(integrator: ExactRigidBodyIntegrator, context: openmm.Contex
         raise ValueError("the forces at the start are not finite: minimise the energy first")
     (force, torque), kinetic = bodies.forces(state, forces), sum(bodies.kinetic_energies(state))
     if not kinetic > 0.0:
-        raise ValueError("nothing moves, so there is no energy error to measure: give particles a mass")
+        raise ValueError("nothing moves, so there is no energy error to measure: set velocities of particles with mass")
     moments = np.broadcast_to(bodies.inertia.T, torque.shape)
     turning = torque[moments > 0.0] ** 2 / moments[moments > 0.0]
     square = float((force**2 / bodies.mass).sum() + turning.sum())

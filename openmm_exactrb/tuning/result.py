@@ -114,7 +114,7 @@ class Tuning:
         """
         target = self.target if target is None else positive(target, "target", "kJ/mol per body")
         if target is None:
-            raise ValueError("tune() was called without a target: pass a target to best()")
+            raise ValueError("best() needs a target, because tune() was called without target=: pass target= to best()")
         found = self.chosen if target == self.target and method is None else self.surveyed(target, method)
         if found is None:
             raise UnreachableError(self._why_unreachable(target, method))
@@ -164,7 +164,7 @@ class Tuning:
         if method is None:
             return [name for name in self.methods if name != VERLET]
         if method not in self.methods:
-            raise ValueError(f"{method!r} was not measured: choose one of {', '.join(self.methods)}")
+            raise ValueError(f"the method {method!r} was not measured: choose one of {', '.join(self.methods)}")
         return [method]
 
     def _largest_stable(self, method: str) -> float:
@@ -177,7 +177,7 @@ class Tuning:
         if not points and self.floor is not None:
             return f"an error of {target:.3g} kJ/mol per body is out of reach. {self._about_floor()}"
         if not self.points:
-            return "the budget was spent before a run ended: pass a larger budget"
+            return "the budget was spent before a run ended: pass a larger budget="
         if not points:
             return "no run was stable: equilibrate the start, or use forces that conserve the energy"
         least, why = min(points, key=lambda p: p.error), "not reached: the smallest found is"

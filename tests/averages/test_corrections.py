@@ -269,7 +269,10 @@ def test_at_constant_pressure_averages_follow_the_pressure_at_a_fixed_volume(tmp
     again = rb.corrected(made(tmp_path, np.random.default_rng(5), quartic=3e-3), "potential energy")
     fourth = 3e-3 * h2**2 * 1e10 / (4.0 * KT)
     assert energy.mean - again.mean == pytest.approx(fourth, rel=0.05)
-    assert again.correction_error**2 - energy.correction_error**2 == pytest.approx(fourth**2 / 12.0, rel=0.2)
+    assert energy.systematic_error == pytest.approx(np.ptp(energy.bracket) / 12.0**0.5)
+    assert again.systematic_error**2 - energy.systematic_error**2 == pytest.approx(fourth**2 / 12.0, rel=0.1)
+    for average in (energy, again):
+        assert 0.0 < average.systematic_error < min(average.error, average.correction_error)
     less = rb.corrected(file, "volume", pressure=101.0 * unit.bar).mean - volume.mean
     assert less == pytest.approx(-(0.02**2) * 100.0 / (KT * BAR), rel=0.1)
     assert rb.corrected(file, "compressibility").mean == pytest.approx(0.02**2 / (2.0 * KT * BAR), rel=0.1)
@@ -304,7 +307,7 @@ def test_a_run_continues_its_file_and_no_other(tmp_path):
     integrator.setStepSize(0.001)
     with (
         reporting(simulation, file, 2, append=True),
-        pytest.raises(ValueError, match="other settings: give the AverageReporter another"),
+        pytest.raises(ValueError, match="other settings: pass another file to the AverageReporter"),
     ):
         simulation.step(2)
     simulation.reporters.clear()
@@ -347,33 +350,35 @@ def test_integrators_for_which_the_theory_does_not_hold_are_refused(tmp_path, ma
 
 def test_what_a_file_lacks_is_said(tmp_path):
     file = made(tmp_path, np.random.default_rng(7), frames=100, barostat="")
-    with pytest.raises(ValueError, match="'potental': choose one of potential energy, pressure"):
+    with pytest.raises(ValueError, match="'potental' is unknown: choose one of potential energy, pressure"):
         rb.corrected(file, "potental")
-    with pytest.raises(ValueError, match="the density needs a run at constant pressure: add a MonteCarloBarostat"):
+    with pytest.raises(
+        ValueError, match="density can be corrected only for a run at constant pressure: add a MonteCarloBarostat"
+    ):
         rb.corrected(file, "density")
     with pytest.raises(ValueError, match="for each of the 100 frames"):
         rb.corrected(file, np.zeros(99))
     for values, slope in ((np.full(100, np.nan), None), (np.zeros(100), np.zeros(99)), (np.zeros(100), np.inf)):
         with pytest.raises(ValueError, match="one finite number for each of the 100 frames"):
             rb.corrected(file, values, slope)
-    with pytest.raises(ValueError, match=r"create the AverageReporter with around=\(particles, distance\)"):
+    with pytest.raises(ValueError, match=r"an AverageReporter that has around=\(particles, distance\)"):
         rb.corrected(file, np.zeros(100), local=True)
-    with pytest.raises(ValueError, match="the pressure depends on all particles: omit local="):
+    with pytest.raises(ValueError, match="the pressure, which depends on all particles: omit local="):
         rb.corrected(file, "pressure", local=True)
-    with pytest.raises(ValueError, match="the slope of 'pressure' is in the file: omit slope="):
+    with pytest.raises(ValueError, match="named observable, here 'pressure': omit slope="):
         rb.corrected(file, "pressure", np.zeros(100))
     with pytest.raises(ValueError, match="at constant volume, whose averages cannot be corrected to a pressure"):
         rb.corrected(file, "pressure", pressure=1.0)
     few = tmp_path / "few.csv"
     few.write_text("".join(file.read_text(encoding="utf-8").splitlines(keepends=True)[:20]))
-    with pytest.raises(ValueError, match="18 frames, but error estimates need at least 40: extend the run"):
+    with pytest.raises(ValueError, match=r"at least 40 frames, but the number of frames in .* is 18: extend the run"):
         rb.corrected(few, "pressure")
     lines = file.read_text(encoding="utf-8").splitlines(keepends=True)
     for wrong in ("nan", "inf", "x"):
         last = lines[-1].replace("2000000.0", wrong)
         assert last != lines[-1]
         few.write_text("".join([*lines[:-1], last]))
-        with pytest.raises(ValueError, match=r"line 102 of .* has a non-finite value"):
+        with pytest.raises(ValueError, match=r"line 102 of .* contains a non-finite value"):
             rb.corrected(few, "pressure")
     few.write_text("".join([lines[0].replace('"barostat_slope"', '"others"'), *lines[1:]]))
     with pytest.raises(

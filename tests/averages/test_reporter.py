@@ -57,7 +57,7 @@ def test_a_reporter_notices_a_new_system_and_another_simulation(make, tmp_path):
     state = simulation.context.getState(positions=True, energy=True, forces=True)
     with pytest.raises(ValueError, match=r"or \(by reinitialize\) the System has changed since the first frame"):
         reporter.report(simulation, state)
-    with pytest.raises(ValueError, match="from another Simulation: give each Simulation its own AverageReporter"):
+    with pytest.raises(ValueError, match="from another Simulation: use a separate AverageReporter for each Simulation"):
         reporter.report(simulation_of(make()), state)
 
 
@@ -121,13 +121,16 @@ def test_names_of_observables_are_not_those_of_slopes(tmp_path):
     ("options", "sentence"),
     [
         ({"observables": [first]}, "observables must be a mapping from names to functions of the positions, not"),
-        ({"observables": {"a": 1.0}}, "but contains 'a': 1.0"),
-        ({"observables": {1: first}}, "but contains 1: "),
+        ({"observables": {"a": 1.0}}, "not a mapping that contains 'a': 1.0"),
+        ({"observables": {1: first}}, "not a mapping that contains 1: "),
         ({"append": "no"}, "append must be True or False"),
-        ({"around": 5}, "around must consist of particles and a distance, not 5"),
-        ({"around": ([0], 1, 2)}, "around must consist of particles and a distance"),
-        ({"around": ([], 0.5)}, "around must name at least one particle"),
-        ({"around": ([-1], 0.5)}, "around must name at least one particle"),
+        ({"around": 5}, r"around must be a pair of particles and a distance, .*, not 5"),
+        (
+            {"around": ([0], 1, 2)},
+            r"around must be a pair of particles and a distance, such as \(\[0, 1, 2\], 0\.5\), not",
+        ),
+        ({"around": ([], 0.5)}, "the particles of around must be a list of at least one index from 0 on"),
+        ({"around": ([-1], 0.5)}, "the particles of around must be a list of at least one index from 0 on"),
         ({"around": ([0.5], 0.5)}, "the particles of around must be lists of particle indices"),
         ({"around": ([0], -1.0)}, "the distance of around must be a positive number"),
     ],
@@ -138,7 +141,7 @@ def test_bad_arguments_get_a_sentence(options, sentence, tmp_path):
 
 
 def test_a_particle_that_the_system_has_not_is_named(tmp_path):
-    with pytest.raises(ValueError, match="around= contains particle 3, but the System has only 3 particles"):
+    with pytest.raises(ValueError, match="the particles of around must be numbers from 0 to 2, not 3"):
         reported(simulation_of(ours()), tmp_path / "frames.csv", 2, around=([3], 0.5))
 
 

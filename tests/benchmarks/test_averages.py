@@ -9,6 +9,7 @@ import pytest
 from benchmarks.common.markdown import rows, with_error
 from benchmarks.common.records import DOCS
 from benchmarks.water.corrected_water import agreement, points
+from benchmarks.water.droplet_averages import droplet_averages
 from benchmarks.water.tables import averages
 
 
@@ -81,3 +82,26 @@ def test_at_the_next_kick_the_error_of_the_pressure_is_less_than_half_of_that_at
     )
     errors = np.array([float(row["pressure offset error"]) for row in found])
     assert np.average(offset / (measured - corrected), weights=errors**-2) < 0.5
+
+
+def of_droplets(scheme, fs):
+    """Return by how much energies of droplets exceed those of hybrid Monte Carlo, before and after the correction."""
+    lines = [[cell.strip(" `") for cell in line.split("|")][1:-1] for line in droplet_averages().splitlines()]
+    ((known, of_known),) = (numbers(line[3]) for line in lines if line[0] == "hybrid Monte Carlo")
+    (cells,) = (line[3:5] for line in lines if (line[0], line[1]) == (scheme, f"{fs:g}"))
+    return [(mean - known, math.hypot(error, of_known)) for mean, error in map(numbers, cells)]
+
+
+def numbers(cell):
+    return tuple(map(float, cell.replace("−", "-").split(" ± ")))
+
+
+def test_energies_of_droplets_deviate_as_the_page_says():
+    page = " ".join((DOCS / "explanation/averages.md").read_text(encoding="utf-8").split())
+    before, after = (with_error(*of, 3) for of in of_droplets("W2_3m", 8))
+    assert f"is {before} kJ/mol too high before the correction, and {after} kJ/mol after it" in page
+    before, after = (with_error(-mean, error, 3) for mean, error in of_droplets("BAOA", 8))
+    assert f"is {before} kJ/mol too low before the correction, and {after} kJ/mol after it" in page
+    for scheme, fs in (("LangevinMiddle", 2), ("LangevinMiddle", 4), ("BAOA", 4)):
+        off, error = of_droplets(scheme, fs)[1]
+        assert abs(off) < error < 0.0105

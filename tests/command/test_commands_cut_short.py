@@ -94,7 +94,7 @@ def test_ctrl_c_in_the_equilibration_is_one_line(run, tmp_path, heard, capsys):
     said, errors = process.communicate()
     assert process.returncode in STOPPED
     assert said == ""
-    assert errors == "exactrb run: SIGINT: stopped; to resume it, repeat the command with --resume\n"
+    assert errors == "exactrb run: SIGINT: stopped; to resume the run, repeat the command with --resume\n"
     assert carry_out(capsys, *run, *BRIEF, "--resume")[0] == 0
 
 

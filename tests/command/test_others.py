@@ -40,7 +40,7 @@ def test_a_target_out_of_reach_has_a_status_of_its_own(serialised, capsys):
     assert "was not reached" in " ".join(out.split())
     assert errors == ""
     assert main(["tune", *map(str, serialised[::-1])]) == 2
-    assert "contains type State, not System" in capsys.readouterr().err
+    assert "contains an object of type State, not System" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("entry", [*rb.SCHEMES.values(), *rb.ROTORS.values()], ids=lambda entry: entry.name)

@@ -24,16 +24,16 @@ def test_it_reads_what_a_run_reads(droplet, capsys):
     assert "brought to 250 K" in " ".join(out.split())
     assert errors == ""
     assert main(["tune", *files, "--cutoff", "0.5"]) == 2
-    assert "omit --cutoff: there is no cutoff without a periodic box" in capsys.readouterr().err
+    assert "--cutoff has no effect without a periodic box: omit --cutoff" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["state.xml", "system.xml"], "contains type State, not System"),
-        (["system.xml", "nowhere.xml"], "there is no file nowhere.xml"),
+        (["state.xml", "system.xml"], "contains an object of type State, not System"),
+        (["system.xml", "nowhere.xml"], "the file nowhere.xml does not exist"),
         (["picture.xml", "state.xml"], "was not written by openmm.XmlSerializer"),
-        ([], "exactrb tune needs molecules: give one file"),
+        ([], "exactrb tune needs molecules: pass one file"),
         (["system.xml", "state.xml", "--schemes", "W4"], "did you mean 'W4_4'?"),
     ],
 )

@@ -45,7 +45,7 @@ def rings(n=4):
 @pytest.mark.parametrize(
     ("bodies", "message"),
     [
-        ([[0, 1, 99]], "body 0 names particle 99, but the System has only the particles 0 to 23"),
+        ([[0, 1, 99]], "the particles of body 0 must be numbers from 0 to 23, not 99"),
         ([[0, 1, 2], [2, 3]], "particle 2 is named twice, in bodies 0 and 1"),
         ([[]], "no particle with mass"),
     ],

@@ -96,7 +96,7 @@ def test_what_an_engine_does_not_serve_is_an_error_where_it_was_asked_for(own):
 
 
 def test_unknown_engines_are_an_error_with_those_that_there_are(own):
-    with pytest.raises(ValueError, match="unknown engine 'gpu': choose one of host, device, own, auto"):
+    with pytest.raises(ValueError, match="the engine 'gpu' is unknown: choose one of host, device, own, auto"):
         rb.ExactRigidBodyIntegrator(0.002, engine="gpu")
 
 

@@ -21,14 +21,14 @@ from few_dipoles import REFERENCE, simulation_of, snapshot
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"scheme": "RK4"}, r"unknown scheme 'RK4': all names are in openmm_exactrb.SCHEMES$"),
-        ({"scheme": "S6_01"}, r"unknown scheme 'S6_01': did you mean 'S6_10'\? All names"),
-        ({"scheme": "W4"}, r"unknown scheme 'W4': did you mean 'W4_4'\? All names are in openmm_exactrb.SCHEMES$"),
-        ({"rotor": "euler"}, "unknown rotor 'euler': choose one of exact"),
+        ({"scheme": "RK4"}, r"scheme 'RK4' is unknown: all names are in openmm_exactrb.SCHEMES$"),
+        ({"scheme": "S6_01"}, r"scheme 'S6_01' is unknown: did you mean 'S6_10'\? All names"),
+        ({"scheme": "W4"}, r"scheme 'W4' is unknown: did you mean 'W4_4'\? All names are in openmm_exactrb.SCHEMES$"),
+        ({"rotor": "euler"}, "the rotor 'euler' is unknown: choose one of exact"),
         ({"stepSize": 1.0 * unit.nanometer}, "is not a time step"),
         ({"stepSize": float("nan")}, "finite number of ps"),
         ({"stepSize": "fast"}, "finite number of ps"),
-        ({"stepSize": -0.001}, "a time step must not be negative"),
+        ({"stepSize": -0.001}, "a time step must be at least 0"),
     ],
 )
 def test_wrong_settings_get_one_sentence(arguments, message):
@@ -50,7 +50,7 @@ def test_arrays_of_numpy_without_a_dimension_are_numbers():
 
 def test_a_step_that_is_refused_changes_nothing():
     integrator = rb.ExactRigidBodyIntegrator(0.002)
-    with pytest.raises(ValueError, match="must not be negative"):
+    with pytest.raises(ValueError, match="must be at least 0"):
         integrator.setStepSize(-0.001)
     assert integrator.getStepSize()._value == 0.002
     assert "0.002" in repr(integrator)
@@ -105,13 +105,13 @@ def test_a_force_interval_sets_the_length_of_a_step(name):
 @pytest.mark.parametrize("both", [{}, {"stepSize": 0.002, "forceInterval": 0.002}])
 @pytest.mark.parametrize("name", ALL)
 def test_the_step_is_given_once(name, both):
-    with pytest.raises(ValueError, match=r"either stepSize=.* or forceInterval="):
+    with pytest.raises(ValueError, match=r"stepSize or forceInterval \(.*\) must be set, not both"):
         ALL[name](**both)
 
 
 def test_an_interval_of_forces_needs_forces():
     free = rb.schemes.Scheme("free", 2, rb.schemes.spelled("A"))
-    with pytest.raises(ValueError, match="evaluates no forces: give stepSize="):
+    with pytest.raises(ValueError, match="evaluates no forces: pass stepSize="):
         rb.ExactRigidBodyIntegrator(forceInterval=0.002, scheme=free)
 
 
@@ -160,7 +160,7 @@ def test_a_system_without_anything_to_move_is_refused():
     system.addParticle(0.0)
     integrator = rb.ExactRigidBodyIntegrator(0.01)
     _context = starts.context_of(system, integrator, np.zeros((1, 3)))
-    with pytest.raises(ValueError, match="nothing to move"):
+    with pytest.raises(ValueError, match="contains no particle with mass, so nothing can move"):
         integrator.step(1)
 
 
@@ -214,7 +214,7 @@ def test_places_that_leave_the_numbers_in_a_last_drift_are_a_blow_up_too():
     context = openmm.Context(system, integrator, REFERENCE)
     context.setPositions(positions)
     context.setVelocities([openmm.Vec3(2e150, 0.0, 0.0)] * system.getNumParticles())  # 1e154 in half a step
-    with pytest.raises(rb.NonFiniteError, match="step 1, after 0 ps: bodies are not finite"):
+    with pytest.raises(rb.NonFiniteError, match="step 1, after 0 ps: positions or momenta became non-finite"):
         integrator.step(1)
     assert np.isfinite(context.getState(positions=True).getPositions(asNumpy=True)._value).all()
 
@@ -224,7 +224,9 @@ def test_a_step_far_too_large_stops_when_bodies_fly_apart():
     _, system, positions = rb.dipole_fluid(125, seed=3, inertia=(1.88, 1.88, 1.88))
     integrator = rb.ExactRigidBodyIntegrator(0.5, scheme="S6_10")
     context = starts.context_of(system, integrator, positions)
-    with pytest.raises(rb.NonFiniteError, match=r"step 1, after 0 ps: .* faster than light"):
+    with pytest.raises(
+        rb.NonFiniteError, match=r"step 1, after 0 ps: .* exceeded the speed of light \(bodies affected: \d+\): body"
+    ):
         integrator.step(10)
     np.testing.assert_allclose(
         context.getState(positions=True).getPositions(asNumpy=True)._value, positions._value, rtol=0.0, atol=1e-9

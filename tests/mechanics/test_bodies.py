@@ -133,7 +133,9 @@ def test_positions_that_are_not_rigid_are_put_on_the_shape_or_refused_by_name(mi
 
     with pytest.raises(ValueError, match=f"particles {particles}\\) is .* nm away"):
         moved(10.0 * REFUSED)
-    with pytest.warns(ShapeWarning, match=f"positions of 1 bodies .*particles {particles}\\)"):
+    with pytest.warns(
+        ShapeWarning, match=f"affected: 1\\), by up to .* nm for .*particles {particles}\\): set positions"
+    ):
         moved(20.0 * RIGIDITY)
     moved(0.2 * RIGIDITY)
 

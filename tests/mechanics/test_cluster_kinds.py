@@ -56,7 +56,7 @@ def test_redundant_constraints_are_named():
     [
         ([12.0, 0.0], [(0, 1)], [0.1], "particle 1 .* has the mass 0"),
         ([12.0, 1.0], [(0, 1)], [0.0], "particles 0 and 1 to 0 nm"),
-        ([12.0, 1.0], [(0, 1)], [np.nan], "to nan nm cannot be kept"),
+        ([12.0, 1.0], [(0, 1)], [np.nan], "to nan nm is invalid"),
         ([12.0, 1.0], [(1, 1)], [0.1], "needs two different particles"),
         ((LARGEST + 2) * [1.0], [(k, k + 1) for k in range(LARGEST + 1)], (LARGEST + 1) * [0.1], "constraints=HBonds"),
     ],

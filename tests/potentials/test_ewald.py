@@ -256,7 +256,7 @@ def test_a_serialised_system_has_the_same_sum(wca):
     ("options", "message"),
     [
         ({"kernel": "bonds"}, "only the compiled kernel computes an Ewald sum"),
-        ({"kernel": "fortran"}, "unknown kernel"),
+        ({"kernel": "fortran"}, "the kernel 'fortran' is unknown"),
         ({"boundary": rb.Ewald(switch=0.0)}, "start the switch at a larger distance"),
         ({"boundary": rb.Ewald(switch=0.02)}, "waves, more than 1000000"),
     ],

@@ -78,7 +78,7 @@ def test_what_is_given_is_taken():
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"method": "fast"}, "unknown method"),
+        ({"method": "fast"}, "the method 'fast' is unknown"),
         ({"method": "direct", "order": 8}, "the direct sum has no mesh"),
         ({"order": 7}, "order must be an even number"),
         ({"mesh": 41}, "a mesh of 41 points along an edge has a slow Fourier transform: use 45"),

@@ -107,11 +107,11 @@ def test_the_topology_ends_in_centre_and_tip_as_with_every_kernel():
         ({"boundary": rb.Ewald(cutoff=2.6)}, "at most half the shortest edge of the box"),
         ({"length": 0.0}, "length must be a positive"),
         ({"strength": np.nan}, "strength must be a finite number"),
-        ({"wca": True}, "wca=True needs an energy with a minimum: give a positive attraction"),
+        ({"wca": True}, "wca=True needs an energy with a minimum: set attraction and epsilon to positive"),
         ({"rods": [(0, 1, 2)]}, r"each rod must be a pair of particles \(plus, minus\)"),
         ({"rods": []}, "at least one rod"),
         ({"particles": 3}, "particles must be"),
-        ({"centres": [4]}, "each of the 2 rods, not 1"),
+        ({"centres": [4]}, "the length must be 2, not 1"),
     ],
 )
 def test_wrong_options_get_one_sentence(options, message):

@@ -92,8 +92,8 @@ def test_what_is_no_charges(tmp_path, charges, message):
 @pytest.mark.parametrize(
     ("charges", "message"),
     [
-        (OF_WATER[:3], "for each of the 6 particles of the System, not 3: give 0"),
-        (np.tile(OF_WATER, 2), "for each of the 6 particles of the System, not 12"),
+        (OF_WATER[:3], "the length must be 6, not 3: use 0"),
+        (np.tile(OF_WATER, 2), "the length must be 6, not 12"),
         (
             np.concatenate([OF_WATER[:3] + 0.1, OF_WATER[3:] - 0.1]),  # neutral as a whole, and an ion beside another
             "molecule with particle 0 add up to 0.3",

@@ -94,7 +94,7 @@ def test_a_first_checkpoint_that_could_not_be_written_is_tried_again(tmp_path, m
 @pytest.mark.parametrize(
     ("name", "reporter", "message"),
     [
-        ("energies.csv", rb.EnergyReporter, "energies.csv already has a reporter"),
+        ("energies.csv", rb.EnergyReporter, "another reporter already writes the file energies.csv"),
         ("checkpoint", rb.EnergyReporter, "checkpoint is a file of the run itself"),
         ("topology.pdb", rb.EnergyReporter, "topology.pdb is a file of the run itself"),
         ("other.dcd", "DCD", "not 'DCD'"),

@@ -68,7 +68,7 @@ def test_an_xtc_file_that_a_full_disk_cut_is_not_taken_for_whole(tmp_path):
     big = rb.Run(tmp_path, resume=True, every=1e9)
     big.add_reporter(app.XTCReporter, "trajectory.xtc", 5)
     try:
-        with pytest.raises(OSError, match=r"trajectory.xtc lacks some of its .* safe up to step 20"):
+        with pytest.raises(OSError, match=r"trajectory.xtc does not contain all .* safe up to step 20"):
             big.advance(simulation, 80, told)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)

@@ -49,14 +49,14 @@ def test_steps_advance_both_flows_by_the_time(n, h, name):
 
 
 def test_a_table_of_the_wrong_length_is_refused():
-    with pytest.raises(ValueError, match=r"must have 1 free coefficients .*, not 2"):
+    with pytest.raises(ValueError, match=r"free coefficients .* must be 1 .*, not 2"):
         symmetric("bad", order=4, stages=3, first="kick", a=(0.1, 0.2), b=(0.1,))
     with pytest.raises(ValueError, match="must be finite"):
         symmetric("bad", order=4, stages=3, first="kick", a=(float("nan"),), b=(0.1,))
 
 
 def test_a_sequence_that_is_empty_or_has_something_else_than_substeps_is_refused():
-    with pytest.raises(ValueError, match="scheme mine: the sequence of a step must have"):
+    with pytest.raises(ValueError, match="scheme mine: the sequence of a step must contain"):
         Scheme("mine", 2, ())
     for wrong in (("A", 1.0), DRIFT, (DRIFT, 0.5, 0.5), (Kick, 1.0)):
         with pytest.raises(ValueError, match="scheme mine: a sequence must consist of pairs of a Substep"):
@@ -105,7 +105,7 @@ def test_nodes_are_generated_for_any_number():
 def test_unknown_schemes_are_refused(name):
     assume(name not in rb.SCHEMES)
     assume(not name.startswith("S"))
-    with pytest.raises(ValueError, match=r"(?s)unknown scheme .*ll names are in openmm_exactrb.SCHEMES"):
+    with pytest.raises(ValueError, match=r"(?s)the scheme .* is unknown.*ll names are in openmm_exactrb.SCHEMES"):
         look_up(name)
 
 
@@ -153,7 +153,7 @@ def test_force_gradients_are_built_from_the_pattern_of_a_step():
     for magnification in (0.0, np.nan, np.inf):
         with pytest.raises(ValueError, match="magnification must be"):
             force_gradient("wrong", "ACA", order=2, e=(0.1,), magnification=magnification)
-    with pytest.raises(ValueError, match=r"e has 2 numbers, but needs .* one for each C"):
+    with pytest.raises(ValueError, match=r"the length of e must be \d, not 2: pass one number for each C"):
         force_gradient("wrong", "BACAB", order=2, b=(0.1,), e=(0.1, 0.2))
 
 

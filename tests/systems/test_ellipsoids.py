@@ -184,7 +184,7 @@ def test_seeds_and_units():
         ({"epsilon": -1.0}, "epsilon must be a positive number of kJ/mol"),
         ({"density": 0.0}, "density must be a positive number"),
         ({"density": 0.7, "cutoff": 3.0}, "do not fit on a lattice"),
-        ({"n": 100}, "more than half the edge of the box, .* use more ellipsoids"),
+        ({"n": 100}, "at most half the edge of the box, .* use more ellipsoids"),
         ({"cutoff": -1.0}, "cutoff must be a positive number of nm"),
         ({"switch": 4.5}, "must be below the cutoff"),
         ({"seed": 1.5}, "the seed must be a whole number of at least 0"),

@@ -191,7 +191,7 @@ def test_a_run_is_the_same():
     ("bodies", "message"),
     [
         ([[0, 1], [1, 2]], "particle 1 is named twice, in bodies 0 and 1"),
-        ([[0, 99]], "body 0 names particle 99, but the System has only the particles 0 to 39"),
+        ([[0, 99]], "the particles of body 0 must be numbers from 0 to 39, not 99"),
         ("all", "bodies must be lists of particle indices"),
     ],
 )

@@ -89,7 +89,10 @@ def test_what_cannot_be_is_refused_and_changes_nothing():
     ):
         rb.heavy_hydrogens(frozen, topology)
     for arguments, message in (
-        ((system, rb.rigid_water(2)[0]), "22 particles: pass the Topology of this System"),
+        (
+            (system, rb.rigid_water(2)[0]),
+            "and of particles in the System \\(22\\) differ: pass the Topology of this System",
+        ),
         ((topology, system), "takes an openmm.System and its Topology"),
         ((system, topology, -1.0), "mass must be a positive number of amu"),
         ((system, topology, 3 * unit.nanometer), "mass must be"),

@@ -49,7 +49,7 @@ def test_sites_have_exactly_the_wanted_inertia(rng, planar):
         ({"inertia": (1.0, 1.0)}, "three positive moments"),
         ({"density": 0.8}, "density needs a periodic box: add boundary="),
         ({"boundary": rb.ReactionField(), "density": -1.0}, "density must be a positive number"),
-        ({"boundary": rb.ReactionField(), "trap": 0.5}, "omit trap= for a periodic liquid"),
+        ({"boundary": rb.ReactionField(), "trap": 0.5}, "not to a periodic liquid: omit trap="),
         ({"boundary": rb.ReactionField(cutoff=10.0)}, "at most half the shortest edge of the box"),
         ({"boundary": "periodic"}, "boundary must be one of"),
     ],

@@ -45,7 +45,7 @@ def test_intervals_are_at_least_one_step(interval):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((-5.0, 10), "a temperature must not be negative"),
+        ((-5.0, 10), "a temperature must be at least 0"),
         ((float("nan"), 10), "a temperature must be a finite number"),
         (("warm", 10), "a temperature must be a finite number"),
         ((300.0, 10, -1), "the seed must be a whole number of at least 0"),

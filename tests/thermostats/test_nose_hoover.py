@@ -219,7 +219,7 @@ def test_chains_stay_when_the_temperature_is_changed():
     ("change", "match"),
     [
         ({"temperature": 0.0}, "a temperature and a collision frequency above zero"),
-        ({"temperature": -1.0}, "a temperature must not be negative"),
+        ({"temperature": -1.0}, "a temperature must be at least 0"),
         ({"collisionFrequency": 0.0}, "a temperature and a collision frequency above zero"),
         ({"collisionFrequency": -1.0}, "a temperature and a collision frequency above zero"),
         ({"collisionFrequency": math.inf}, "a collision frequency must be a finite number"),
@@ -286,5 +286,5 @@ def test_a_barostat_of_the_same_temperature_acts_beside_it_and_another_one_is_re
         mean, error = mean_and_error(T)
         assert abs(mean - 300.0) < max(4.0 * error, 3.0)
     integrator.setTemperature(310.0)
-    with pytest.raises(ValueError, match="Barostat is at 300 K, but the integrator is at 310 K"):
+    with pytest.raises(ValueError, match="Barostat is 300 K, but that of the integrator is 310 K"):
         integrator.step(1)

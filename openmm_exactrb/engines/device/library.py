@@ -32,13 +32,13 @@ _log = logging.getLogger("openmm_exactrb")
 SOURCE = Path(__file__).with_name("program_integrator.cpp")
 #: The library that a wheel contains.
 BUNDLED = SOURCE.with_suffix(".so")
-#: The environment variable that names a compiler, and the commands that are tried after it.
+#: The environment variable that names a compiler, and the commands that are tried if it names none.
 COMPILER = "CXX"
 _COMPILERS = ("c++", "g++", "clang++")
-#: The environment variable that names the folder for compiled libraries; by default it is in the user's cache.
+#: The environment variable that names the folder for compiled libraries; the default folder is in the user's cache.
 CACHE = "EXACTRB_CACHE"
 _FLAGS = ("-std=c++17", "-O2", "-fPIC", "-shared", "-fvisibility=hidden")
-# Some compilers link a static C++ library; its symbols must not be mixed with those of the C++ library of OpenMM.
+# Some compilers link the C++ library statically. Its symbols must not be mixed with those of OpenMM's C++ library.
 _LINKER_FLAGS = {"Linux": ("-Wl,--exclude-libs,ALL",)}
 _SYSTEMS = ("Linux", "Darwin")
 
@@ -249,7 +249,7 @@ def openmm_folder() -> Path:
 
 
 def build(path: Path, command: str | None = None) -> None:
-    """Compile the library to a path; raise MissingLibraryError with the compiler's first error if this fails."""
+    """Compile the library to a path; raise MissingLibraryError with the compiler's first error after a failure."""
     command, folder = command or compiler(), openmm_folder()
     handle, temporary = tempfile.mkstemp(suffix=".so", dir=path.parent)
     os.close(handle)

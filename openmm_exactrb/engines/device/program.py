@@ -52,9 +52,9 @@ class Launch:
 
     An argument is an integer (int) or a name. The names "posq", "posqCorrection", "velm" and "force" denote OpenMM's
     arrays. The name "places" denotes an array of int4 that contains, for each atom, its slot and the numbers of box
-    vectors by which it was moved. The name "box" denotes nine numbers, which are zero if there is no box. "$name"
-    denotes a scalar, "$h" the step size, and "#step" the number of previous steps (long long). All other names denote
-    arrays of the program.
+    vectors by which the atom was moved. The name "box" denotes the nine numbers of the box vectors, which are zero
+    without a box. "$name" denotes a scalar, "$h" the step size, and "#step" the number of previous steps (long long).
+    All other names denote arrays of the program.
     """
 
     source: Source
@@ -88,7 +88,7 @@ def copy(array: str, to: str) -> str:
     return f"copy {array} {to}"
 
 
-#: Operations that make OpenMM compute virtual sites, make it reorder atoms if this is due, and complete a step.
+#: Operations that let OpenMM compute virtual sites, let OpenMM reorder atoms if necessary, and complete a step.
 SITES, REORDER, STEP = "sites", "reorder", "step"
 
 # Scalars of the integrator.
@@ -112,7 +112,7 @@ class Program:
     sequences: dict[str, list[Operation]] = field(default_factory=dict)
 
     def array(self, name: str, size: int, element: int = 8, saved: bool = False) -> str:
-        """Declare an array of at least one element, each of which has `element` bytes, and return the name."""
+        """Declare an array of at least one element, with `element` bytes per element, and return its name."""
         self.arrays[name] = Array(name, max(size, 1), element, saved)
         return name
 

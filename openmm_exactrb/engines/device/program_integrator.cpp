@@ -1,10 +1,10 @@
 // An OpenMM Integrator whose steps are a program: named arrays on the device, kernels given as text, and sequences of
-// operations. It contains no physics. The library links only to libOpenMM. It calls OpenCL, CUDA and HIP through the
-// virtual functions of ComputeContext, and looks up a few functions that are not virtual in the platform's library.
+// operations. The integrator contains no physics. The library links only to libOpenMM. It calls OpenCL, CUDA and HIP
+// through the virtual functions of ComputeContext, and looks up a few non-virtual functions in the platform's library.
 //
-// Without a program, it is a CustomIntegrator, whose global variables it also has with a program. Python starts the
-// steps of a program, after it has checked that the arrays agree with the Context (library.py). The lines of a program
-// are described in program.py.
+// Without a program, the integrator is a CustomIntegrator, and it keeps the global variables when it has a program.
+// Python starts the steps of a program after checking that the arrays agree with the Context (library.py). The lines of
+// a program are described in program.py.
 #include "openmm/Context.h"
 #include "openmm/CustomIntegrator.h"
 #include "openmm/OpenMMException.h"
@@ -505,12 +505,12 @@ void ProgramIntegrator::step(int steps) {
         throw error("OpenMM read this integrator from a file and cannot perform its steps: create the integrator with openmm_exactrb again");
 }
 
-// Perform steps by these sequences of the program. "forces" evaluates the forces that "open" needs, unless they are
+// Perform steps with these sequences of the program. "forces" evaluates the forces that "open" needs, unless they are
 // known. "open" begins a step, "body" continues it up to its last force evaluation, and "close" ends it. "between"
 // combines "close" with the following "open".
 //
 // OpenMM updates the Context when barostats act, after every "interval" updates, and when the number of steps is a
-// multiple of "removal". These scalars are 0 for never. "pushed" follows an update, and "moved" follows if positions
+// multiple of "removal". A value of 0 means never. "pushed" follows an update, and "moved" follows if positions
 // changed. Updates in which barostats act are preceded by the sequence "leave", if it exists, and followed by "return";
 // "leave_pushed" and "leave_moved" then replace "pushed" and "moved" if they exist.
 void ProgramIntegrator::makeSteps(int steps) {
@@ -649,7 +649,8 @@ void ProgramIntegrator::download(const string& name, void* data, size_t bytes) {
     memcpy(data, a.data.data(), bytes);
 }
 
-// Binary format of saved states: pairs of a name and a value, for scalars and then for arrays; an empty name ends each.
+// Binary format of saved states: pairs of a name and a value, for scalars and then for arrays. An empty name ends each
+// list.
 template <class T> void put(std::ostream& stream, const T& value) {
     stream.write(reinterpret_cast<const char*>(&value), sizeof(T));
 }
@@ -700,7 +701,7 @@ void ProgramIntegrator::loadCheckpoint(std::istream& stream) {
     CustomIntegrator::loadCheckpoint(stream);
     forcesStale = placesStale = true;
     changes = 7;
-    if (get<int>(stream) != Mark)  // another kind of integrator wrote it
+    if (get<int>(stream) != Mark)  // another kind of integrator wrote the stream
         return;
     changes = get<int>(stream) | Loads;
     load(stream);

@@ -98,7 +98,7 @@ class DevicePropagator:
         drift = free_motion(bodies, of.rotor).drift
         for _, part in inverse(behind):
             state = drift(state, part * of.h)
-        if any(molecules.late for molecules in self._served.molecules):  # their steps end at the exchange
+        if any(molecules.late for molecules in self._served.molecules):  # late steps end at the exchange
             assert self._fast is not None
             assert self._fast.excerpt is not None
             nested = self._fast.excerpt.part
@@ -274,8 +274,8 @@ class DevicePropagator:
         names = list(dict.fromkeys(map(bodies.name, which[: 20 * _NAMED])))  # the atoms of a cluster have one name
         named = ", ".join(names[:_NAMED]) + (", ..." if len(names) > _NAMED else "")
         raise NonFiniteError(
-            f"within {n} steps, positions or momenta became non-finite, or speeds exceeded the speed of light (bodies "
-            f"affected: {len(which)}): {named}. {ADVICE.format('call')}"
+            f"during step({n}), positions or momenta became non-finite, or speeds exceeded the speed of light "
+            f"(bodies affected: {len(which)}): {named}. {ADVICE.format('call')}"
         )
 
     @property
@@ -292,13 +292,13 @@ class DevicePropagator:
         return kT * (bodies.translational_freedom + bodies.rotational_freedom + 20)
 
     def _compare(self, kinetic: float, n: int) -> None:
-        """Restore the state before n steps; raise IntegrationError if the total energy of this state was much lower."""
+        """Restore the state before n steps; raise IntegrationError if the total energy has jumped since then."""
         energy = kinetic + self._potential()
         self._restore()
         kinetic_before = self._report()[0]
         before = kinetic_before, kinetic_before + self._potential()
         if message := gained(len(self.sync.bodies), before, (kinetic, energy)):
-            raise IntegrationError(f"within {n} steps, {message}. {ADVICE.format('call')}")
+            raise IntegrationError(f"during step({n}), {message}. {ADVICE.format('call')}")
 
     def _potential(self) -> float:
         self._timings.evaluations += 1

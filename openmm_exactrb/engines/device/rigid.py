@@ -25,9 +25,9 @@ Values = Mapping[str, NDArray[Any]]
 
 #: Bodies with more particles than the first number are each processed by the second number of threads.
 LARGE, LANES = 16, 64
-#: Threads per block, and the largest number of blocks in a sum of kinetic energies.
+#: Number of threads per block, and largest number of blocks in a sum of kinetic energies.
 BLOCK, GROUPS = 64, 256
-#: A body counts as unmoved if a barostat displaced it by less than this (nm).
+#: A body counts as unmoved if a barostat displaced it by less than this distance (nm).
 STILL = 1e-9
 _STATE = ("R", "P", "q", "L")
 _ROWS = {"R": 3, "P": 3, "q": 4, "L": 3}
@@ -78,7 +78,7 @@ def parts_of(bodies: RigidBodies, demands: Demands, others: Indices) -> list[Rig
 
 
 class RigidPart:
-    """The part of a program that moves kinds of rigid bodies by `lanes` threads each; array names have a prefix."""
+    """The part of a program that moves kinds of rigid bodies with `lanes` threads each; array names have a prefix."""
 
     def __init__(
         self,
@@ -173,7 +173,7 @@ class RigidPart:
         return Launch(self._source, function, threads or self.n * lanes, arguments, lanes if lanes > 1 else BLOCK)
 
     def reductions(self, copied: bool, adds: bool) -> list[Operation]:
-        """Return operations that write the kinetic energies to "totals" or, if `adds`, add them there."""
+        """Return operations that write the kinetic energies to "totals" or, if `adds`, add the energies to "totals"."""
         sums, threads = self._named("kinetic")[0], min(self.n, BLOCK * GROUPS)
         tables = self._named("kind", "kinds", "constants")
         kinetic = Launch(self._source, "kinetic", threads, (*tables, *self.state(copied), sums), BLOCK)

@@ -148,7 +148,7 @@ def known_after(segments: Sequence[Segment], known: int | None = None) -> int | 
 
 
 def _joined(segments: Sequence[Segment]) -> list[Segment]:
-    """Return segments in which the last inner kick of a drift at the end of a segment is deferred to the next one."""
+    """Return segments in which the last inner kick of a drift at a segment's end is deferred to the next segment."""
     joined, behind = [], 0.0
     for number, segment in enumerate(segments):
         before = behind
@@ -157,7 +157,7 @@ def _joined(segments: Sequence[Segment]) -> list[Segment]:
                 behind = 0.0
             elif move.bodies != "others":
                 behind = move.part
-        if number == len(segments) - 1 or segments[number + 1].reduces:  # because complete velocities are needed there
+        if number == len(segments) - 1 or segments[number + 1].reduces:  # which need complete velocities
             behind = 0.0
         joined.append(replace(segment, behind=before, leaves=bool(behind)))
     return joined
@@ -165,7 +165,7 @@ def _joined(segments: Sequence[Segment]) -> list[Segment]:
 
 @dataclass(frozen=True)
 class Step:
-    """The segments of a step, the first of which uses forces that are already known."""
+    """The segments of a step. The first segment uses forces that are already known."""
 
     segments: tuple[Segment, ...]
     needs: int | None  # the force groups whose forces the first segment needs
@@ -349,7 +349,7 @@ class Sequences:
     def _way(self, rows: Rows, copied: bool, begins: float | None = None) -> list[Operation]:
         """Return the operations that perform substeps outside of a step and then show the state in the Context.
 
-        The time does not advance, unless it begins at a given fraction of the step.
+        The time does not advance, unless `begins` is the fraction of the step at which it begins.
         """
         some = [
             replace(segment, copied=copied, time=0.0 if begins is None else begins + segment.time)
@@ -361,7 +361,7 @@ class Sequences:
     def write_updates(self, to: Program, updates: Any, processed: bool, ahead: Substeps) -> None:
         """Write the sequences around OpenMM's updates of the Context; flags of `updates` state which updates occur.
 
-        A barostat acts after the drifts `ahead` from the end of a step, which are then undone.
+        A barostat acts after the drifts `ahead`, which follow the end of a step and are then undone.
         """
         velocities = updates.pushes or updates.removes_motion
         pushed, moved = self._each("pushed", False, False) if velocities else [], self._each("moved", False)

@@ -25,19 +25,22 @@ _SINGLE, _SINGLE_PART = 1e-5, 1e-6
 class DeviceState(Synchronisation):
     """A `Synchronisation` that reads the state from the device only on request.
 
-    The program integrator detects external changes to the Context, so states need not be compared for this purpose.
+    The program integrator detects external changes to the Context, so that a comparison of states is not needed.
     """
 
     _behind = False  # whether the device has moved the bodies since `state` was read
 
     def begin(self, device: Device, parts: Sequence[Any], processed: bool, single: bool) -> None:
-        """Use the arrays of a program on `device`, which its `parts` read and write, for the state."""
+        """Store the state in the arrays of a program on `device`, which the program's `parts` read and write."""
         self._device, self._parts, self._processed = device, parts, processed
         if single:
             self._same, self._rigid = (_SINGLE, _SINGLE_PART), _SINGLE
 
     def pull(self) -> bool:
-        """Update the state from the device, or both from a changed Context; return whether the Context was changed."""
+        """Update the state from the device, and return whether the Context was changed.
+
+        A changed Context replaces the state on the device too.
+        """
         changes = self._device.changes()
         if not changes & (SET | LOADED):
             if self._behind:
@@ -123,6 +126,6 @@ class DeviceState(Synchronisation):
         self.push()
 
     def _write(self) -> None:
-        """Do nothing: OpenMM saves the arrays of the program, which contain the state."""
+        """Do nothing, because OpenMM saves the arrays of the program, which contain the state."""
 
     _unmark = _withdraw = _write

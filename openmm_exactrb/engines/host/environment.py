@@ -84,7 +84,7 @@ class HostEnvironment:
     def _flow_of(self, substep: Substep) -> Flow[State]:
         """Return the flow of a substep, which marks the positions as changed if the substep may change them."""
         flow = substep.bind(self)
-        if not substep.moves or isinstance(substep, Drift):  # the drifts of the propagator mark changes
+        if not substep.moves or isinstance(substep, Drift):  # the propagator's drifts mark changes of positions
             return flow
 
         def moving(state: State, tau: float) -> State:

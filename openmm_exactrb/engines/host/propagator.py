@@ -1,8 +1,8 @@
 """The propagator of the host engine, which performs the steps of an integrator in its Context.
 
 The propagator is created once for a Context, and bound to the settings of the integrator whenever these have changed.
-It owns the state. For a processed scheme, this state remains in inner coordinates between calls, and the Context shows
-a copy that has passed through the post-processor.
+The propagator owns the state. For a processed scheme, this state remains in inner coordinates between calls, and the
+Context shows a copy transformed by the post-processor.
 """
 
 from __future__ import annotations
@@ -126,7 +126,7 @@ class HostPropagator:
 
     @property
     def defers_inner_drifts(self) -> bool:
-        """Return True: see `thermostatted.canonical_momenta`."""
+        """Return True; see `thermostatted.canonical_momenta`."""
         return True
 
     def advance(self, version: object, settings: Callable[[], Settings], key: int, n: int) -> None:

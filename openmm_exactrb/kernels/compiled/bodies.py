@@ -14,7 +14,7 @@ def orientation(q, body):
 
 @inlined
 def turned(Q, b):
-    """Return Q b, the vector b of a body turned into space."""
+    """Return Q b, the vector b of a body rotated into the space frame."""
     return (
         Q[0] * b[0] + Q[1] * b[1] + Q[2] * b[2],
         Q[3] * b[0] + Q[4] * b[1] + Q[5] * b[2],
@@ -33,7 +33,7 @@ def torque_of(Q, b, F):
 
 @inner
 def _put_points(R, turning, particles, x):
-    """Write the centres R of bodies that do not rotate into the rows of x of their particles."""
+    """Write the centres R of bodies without orientations into their particles' rows of x."""
     for body in range(turning, R.shape[1]):
         for p in range(particles.starts[body], particles.starts[body + 1]):
             for e in range(3):

@@ -113,7 +113,7 @@ def _series(lanes, begin, count, coefficients):
 
 @inlined
 def _turn(c, s):
-    """Return atan2(s, c) by a short series of atan, since the tangent of a sixteenth of the angle is below 0.2."""
+    """Return atan2(s, c) from a short series of atan, since the tangent of a sixteenth of the angle is below 0.2."""
     t = s / max(math.sqrt(c * c + s * s) + c, 1e-300)
     for _ in range(3):
         t = t / (1.0 + math.sqrt(1.0 + t * t))
@@ -125,7 +125,7 @@ def _turn(c, s):
 
 @inlined
 def _patch(c, s, size):
-    """Return the index of the part of the circle that contains an angle, and the position in it; nan is in part 0."""
+    """Return the index of the part of the circle that contains an angle, and the position there; nan is in part 0."""
     angle = math.atan2(s, c) % _CIRCLE
     part = max(0, min(int(angle / _CIRCLE * size), size - 1))
     return part, angle - part * (_CIRCLE / size)

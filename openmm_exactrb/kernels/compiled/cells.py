@@ -2,8 +2,9 @@
 
 The edges of a cell are at least half the cutoff. Each pair is computed once, in the row of one of its two dipoles. The
 dipoles of a block of cells and of half of the surrounding cells are collected, the dipoles within the cutoff are
-selected, and their arithmetic is vectorised. The contributions of a plane of cells to itself and to the next two planes
-are stored separately and added in a fixed order, so that results are bit-identical for any number of threads.
+selected, and the arithmetic of the pairs is vectorised. The contributions of a plane of cells to itself and to the next
+two planes are stored separately and added in a fixed order, so that results are bit-identical for any number of
+threads.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from openmm_exactrb.support.types import Array
 
 Cells = tuple[int, int, int]
 
-# Cells that the cutoff reaches in each direction, and pairs per block of vectorised arithmetic.
+# Number of cells that the cutoff reaches in each direction, and number of pairs per block of vectorised arithmetic.
 _REACH, _CHUNK = 2, 256
 _LANES = 8
 # Rows per dipole for the contributions of its own plane of cells and of the two previous planes, rounded up to a power
@@ -150,7 +151,7 @@ def _arithmetic(k, u, work, repulsion, coupling, attraction, minimum, alpha, tru
 def _slabs(
     first, last, heads, placed, m, repulsion, coupling, attraction, minimum, alpha, truncation, energies, partial
 ):
-    """Add energies and forces of pairs: one dipole in given planes of cells, one in half of the cells around it."""
+    """Add energies and forces of the pairs of dipoles in given planes of cells and in half of the cells around them."""
     n, end = placed.shape[1], truncation[3]
     found, far, work = np.empty((3, 2 * n)), np.empty(2 * n), np.zeros(13 * _CHUNK)
     who, hits = np.empty(2 * n, np.uint64), np.empty(2 * n + 1, np.uint64)  # unsigned, as no index is negative

@@ -50,7 +50,7 @@ from openmm_exactrb.kernels.records import Graph
 ORDERS = 30
 #: A series ends when two successive terms are below this fraction of its first term.
 SETTLED = 1e-16
-#: The largest number of times that a step is halved; a cluster that needs more becomes nan.
+#: The largest number of times that a step is halved; the results of a cluster that needs more halvings are nan.
 HALVINGS = 12
 #: Clusters per block.
 LANES = 32
@@ -224,7 +224,7 @@ def _give_up(X, P, work):
 def advance(x, p, t, moves, first, count, graph, x1, p1):
     """Write the positions and momenta of the clusters of a kind after the time t.
 
-    A cluster becomes nan if one of its numbers is not finite, its positions are singular, or its motion is too fast.
+    A cluster's results are nan if one of its numbers is not finite, its positions are singular, or it moves too fast.
 
     The kind has `count` clusters from column `first` on. Unless the kind `moves`, the momenta are only projected, so
     that r_c.r_c' = 0. The results x1 and p1 may overwrite x and p.

@@ -52,7 +52,8 @@ def gay_berne(x, box, law, forces, energy):
     """Write the forces (kJ/mol/nm) on ellipsoids in a box and their energy (1,) (kJ/mol).
 
     x contains the centre of each ellipsoid and a point on its axis, and `box` the edges (nm). `law` (7,) contains chi,
-    chi', the diameter and the shift (nm), 4 epsilon (kJ/mol), and the cutoff and the start of the switch (nm).
+    chi', the diameter and the shift (nm), 4 epsilon (kJ/mol), and the cutoff and the start of the switching function
+    (nm).
     """
     n = len(x) // 2
     chi, chi_prime, sigma, shift, scale, cutoff, begin = law

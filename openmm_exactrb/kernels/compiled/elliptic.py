@@ -1,4 +1,4 @@
-"""Jacobi's functions and the integral of the third kind for one body: `mathematics.elliptic`, compiled."""
+"""Jacobi's functions and the integral of the third kind for one body, compiled; see `mathematics.elliptic`."""
 
 import math
 

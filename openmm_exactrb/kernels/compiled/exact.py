@@ -1,7 +1,7 @@
 """The exact flow of the free rigid body, compiled, with the formulas and the names of `plain.exact`.
 
-Steps with b G h <= 0.3 are computed by `_short` in blocks of bodies. This function has neither branches nor calls, so
-that it is vectorised. All other steps are computed by `_long`, one body at a time.
+Steps with b G h <= 0.3 are computed by `_short` in blocks of bodies. `_short` has neither branches nor calls, so that
+the loop over bodies is vectorised. All other steps are computed by `_long`, one body at a time.
 """
 
 import math
@@ -22,7 +22,8 @@ from openmm_exactrb.kernels.compiled.rotations import (
 )
 from openmm_exactrb.kernels.plain.exact import ON_SEPARATRIX, SAFE, SHORT, VANISHING
 
-# Bodies per block. The distances between rows are known at compile time, so that rows are known not to overlap.
+# Bodies per block. The distances between rows are known at compile time, so that the compiler knows that rows do not
+# overlap.
 _BLOCK = 64
 _ROWS = 23
 # The largest h G/I3 for which the reduction of the angle is exact to roundoff.

@@ -1,7 +1,6 @@
 """Inner steps of multiple time stepping, compiled: drifts and kicks by bonded forces in one call.
 
-Molecules with bonds are few compared with their solvent, so that calls from Python would take longer than the
-arithmetic.
+Bonded atoms are few compared with the solvent, so that calls from Python would take longer than the arithmetic.
 """
 
 import numpy as np

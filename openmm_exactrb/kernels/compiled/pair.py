@@ -35,8 +35,8 @@ def _scaled_erfc(t):  # importing scipy for erfcx would take half as long as imp
     return math.exp(x * x) * math.erfc(x)
 
 
-# Polynomials, because calls of a library would not be vectorised: the 32nd root of exp(-s) in s about its middle, and
-# exp(x²) erfc(x) in t = (x - 2)/(x + 2).
+# Polynomials, because library calls would not be vectorised. They approximate the 32nd root of exp(-s) in s about its
+# middle, and exp(x²) erfc(x) in t = (x - 2)/(x + 2).
 _MIDDLE = 0.5 * _FAR**2
 _root_of_exp = _polynomial([math.exp(-_MIDDLE / 32.0) / math.factorial(k) for k in range(17)])
 _erfcx = _polynomial(
@@ -88,9 +88,10 @@ def pair(r2, uv, ur, vr, repulsion, coupling, attraction, minimum, alpha, trunca
 
 @at_first_call
 def truncated(r2, uv, core, slope, energy, a, b, c, coupling, truncation):
-    """Add the reaction field to the part of the dipoles, and multiply the parts of dipoles and spheres by switches.
+    """Add the reaction field to the dipole part, and multiply the dipole and sphere parts by switching functions.
 
-    A switch S(r²) has six continuous derivatives. The energy of the spheres is shifted before the switch is applied.
+    A switching function S(r²) has six continuous derivatives. The energy of the spheres is shifted before it is
+    switched.
     """
     _, _, _, _, end, rate, reaction, end_of_core, rate_of_core, shift = truncation
     b -= coupling * reaction
@@ -103,7 +104,7 @@ def truncated(r2, uv, core, slope, energy, a, b, c, coupling, truncation):
 
 @inlined
 def switched(r2, end, rate):
-    """Return the switch S(r²) and its derivative with respect to r²."""
+    """Return the switching function S(r²) and its derivative with respect to r²."""
     s = min(1.0, max(0.0, (end - r2) * rate))
     t = 2.0 * s - 1.0
     u = t * t

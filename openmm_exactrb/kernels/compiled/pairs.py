@@ -19,8 +19,8 @@ from openmm_exactrb.support.types import Array
 Truncation = tuple[float, float, float, float, float, float, float, float, float, float]
 Ewald = tuple[float, float, float] | tuple[float, mesh.Edges, int, float]
 
-# Fewer pairs than this are not worth a second thread. Ten waves of a dipole cost as much as three pairs, and a screened
-# pair as much as three others.
+# The largest work, in the units of `_work`, that a single thread performs. With an Ewald sum, a pair costs as much as
+# ten waves of a dipole, and three times as much as without screening.
 _SHARED = 200_000
 
 
@@ -39,8 +39,9 @@ def soft_dipoles(
     repulsion, coupling and attraction are 4 epsilon sigma^12, (strength/length)² and 4 epsilon sigma^6. `minimum`
     contains the squared distance at which the energy of the spheres is truncated, and the shift of this energy.
     `truncation` contains, in this order: the edges of the box and the square of the longer cutoff; the squared cutoff
-    of the dipoles, 1/(width of their switch in r²) and the strength of the reaction field; the squared cutoff of the
-    spheres, 1/(width of their switch in r²) and the energy that is subtracted from the energy of the spheres.
+    of the dipoles, 1/(width of their switching function in r²) and the strength of the reaction field; the squared
+    cutoff of the spheres, 1/(width of their switching function in r²) and the energy that is subtracted from the energy
+    of the spheres.
     """
     if ewald and truncation is None:
         raise ValueError(
@@ -69,7 +70,7 @@ def soft_dipoles(
 
 
 def _work(n: int, truncation: Truncation | None, ewald: Ewald | None) -> float:
-    """Return the work in units of the work for a pair without screening."""
+    """Return the work in units of the work for a pair."""
     waves = number_of_waves(truncation[:3], ewald[1]) if truncation and ewald and len(ewald) == 3 else 0.0
     return n * (n + waves / 10)
 

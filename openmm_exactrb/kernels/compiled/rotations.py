@@ -58,7 +58,7 @@ def rotate_short(y1, y2, y3, cn, dn, w, cn_less, dn_less, r, s, cosine, sine):
     c, e = twisted(cosine, sine, re, im, cd, w, y1 * n1 + y2 * n2, y2 * d1 - y1 * d2)
     less = versine(c, e)
 
-    # z is the change of (y1 + i y2) as it turns.
+    # z is the change of (y1 + i y2) in the rotation.
     z1, z2 = d1 * c - d2 * e - (y1 * less + y2 * e), d1 * e + d2 * c - (y2 * less - y1 * e)
     a0, a1 = 1.0 + y3, 1.0 + n3
     product = a0 * a1

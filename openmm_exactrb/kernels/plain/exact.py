@@ -1,24 +1,24 @@
 """The exact flow of the free rigid body in numpy, for any number of bodies at once.
 
-Euler's equations are solved without a phase and without an inverse function: the addition theorem of Jacobi's
-functions carries the momentum itself from 0 to h. The orientation follows from one incremental integral of the
-third kind and the argument of a complex number.
+Euler's equations are solved without a phase and without an inverse function, because the addition theorem of Jacobi's
+functions advances the momentum itself from 0 to h. The orientation follows from one incremental integral of the third
+kind and the argument of a complex number.
 
 With moments of inertia I1 <= I2 <= I3, x = m/G, G = norm(m), time s = b G t and
 
     b = (I3 - I1)/(I1 I3),  rho = I3 (I2 - I1)/(I2 (I3 - I1)),  sigma = 1 - rho = I1 (I3 - I2)/(I2 (I3 - I1)),
 
 Euler's equations read x1' = -sigma x2 x3, x2' = x3 x1, x3' = -rho x1 x2. They are invariant under the exchange of axes
-1 and 3 together with rho and sigma, so one formula serves both families of orbits. The formula is written in y = (x_l,
-x2, x_j), where j is the axis that the momentum circles: 3 if S = rho x1² - sigma x3² < 0, and 1 otherwise (S = 0 is the
-separatrix). Then (r, s) is (sigma, rho) for j = 3, and (rho, sigma) for j = 1. A rotation by pi about axis 2 ensures
-that y3 >= 0.
+1 and 3 together with rho and sigma, so that one formula applies to both families of orbits. The formula is written in y
+= (x_l, x2, x_j), where j is the axis that the momentum circles: 3 if S = rho x1² - sigma x3² < 0, and 1 otherwise (S =
+0 is the separatrix). Then (r, s) is (sigma, rho) for j = 3, and (rho, sigma) for j = 1. A rotation by pi about axis 2
+ensures that y3 >= 0.
 
-Exchanging two axes mirrors the body, so angles change sign if j = 1.
+An exchange of two axes is a reflection of the body, so that angles change sign if j = 1.
 
 For a short step, the changes of orientation and momentum are computed, with errors proportional to these changes.
 Orientations and momenta may be double-doubles (`openmm_exactrb.mathematics.compensated`), to which the changes are
-added; a run then has no roundoff other than these errors.
+added. A run then has no roundoff other than these errors.
 """
 
 from __future__ import annotations
@@ -35,9 +35,10 @@ from openmm_exactrb.support.types import Array
 SHORT = 0.3
 #: The range of momenta whose squares neither overflow nor underflow.
 SAFE = (1e-70, 1e70)
-#: The size of components of a unit vector below which their eighth powers vanish.
+#: The size of components of a unit vector below which their eighth powers underflow.
 VANISHING = 1e-36
-#: The error of S in double-doubles, relative to its terms. If S is smaller, the momentum counts as on the separatrix.
+#: The error of S in double-doubles, relative to its terms. If S is smaller, the momentum is treated as on the
+#: separatrix.
 ON_SEPARATRIX = 1e-30
 
 
@@ -78,7 +79,7 @@ def _step_long(body: Array, q: Array, m: Array, G: Array, t: Array) -> tuple[Arr
 def _short(body: Array, m: Array, G: Array, t: Array) -> tuple[Array, Array]:
     """Return the rotation minus the identity, and the change of the momentum, for b G h <= 0.3.
 
-    Series replace elliptic functions, and the formula for j = 3 serves both families of orbits.
+    Series replace elliptic functions, and the formula for j = 3 applies to both families of orbits.
     """
     b, rho, sigma, inverse_I3 = body[:4]
     flip = np.copysign(1.0, m[2])

@@ -70,7 +70,7 @@ def test_positions_off_the_constraints_are_put_on_them_with_a_warning():
     off = x.copy()
     off[3] += [0.004, -0.003, 0.002]  # a hydrogen of a methyl group
     context = context_of(system, rb.ExactRigidBodyIntegrator(0.0005), off)
-    with pytest.warns(rb.ShapeWarning, match=r"in the cluster of particles 0, 1, 2, 3"):
+    with pytest.warns(rb.ShapeWarning, match=r"for the cluster of particles 0, 1, 2, 3"):
         context.getIntegrator().step(0)
     put, v = positions_of(context), velocities_of(context)
     assert violations(system, put, v)[0] < 1e-15

@@ -123,7 +123,7 @@ def test_temperatures_that_are_none_are_refused(salt_water):
     integrator = simulation.integrator
     with pytest.raises(ValueError, match="is not a temperature"):
         integrator.setVelocitiesToTemperature(300.0 * unit.nanometer)
-    with pytest.raises(ValueError, match="must not be negative"):
+    with pytest.raises(ValueError, match="must be at least 0"):
         integrator.setVelocitiesToTemperature(-1.0)
 
 

@@ -1,4 +1,4 @@
-"""The division of flexible molecules into blocks, each of which one block of threads processes."""
+"""The division of flexible molecules into blocks, each processed by one block of threads."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Blocks:
     particles : (n,) array
         The index in the System of each atom.
     atom_of : (n_particles,) array
-        The index among these atoms of each particle of the System; -1 for particles of other molecules.
+        The index of each particle of the System among these atoms, or -1 for particles of other molecules.
     block_of : (n,) array
         The index of the block of each atom.
     starts, sizes : (c,) arrays
@@ -127,7 +127,7 @@ def _molecules(members: Sequence[Indices], count: int) -> Indices:
 
 
 def _divided(cost: Indices, molecule: Indices, smallest: Indices) -> Indices:
-    """Return the index of the block of each cluster; a block contains whole molecules, or a part of a large one.
+    """Return the index of the block of each cluster; a block contains whole molecules, or part of a large molecule.
 
     A molecule is divided in the order of its particles, which in a protein follows the chain.
     """
@@ -135,7 +135,7 @@ def _divided(cost: Indices, molecule: Indices, smallest: Indices) -> Indices:
     large = total > COST_OF_MOLECULE
     first = np.full(len(total), smallest.max(initial=0))
     np.minimum.at(first, molecule, smallest)
-    before = np.zeros(len(total), int)  # total cost of the small molecules that precede each one
+    before = np.zeros(len(total), int)  # total cost of the small molecules that precede each molecule
     by_place = np.argsort(first)
     small = by_place[~large[by_place]]
     before[small] = np.cumsum(total[small]) - total[small]

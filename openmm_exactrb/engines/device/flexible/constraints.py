@@ -1,4 +1,4 @@
-"""Tables of the clusters of flexible molecules for the kernel, and its source text for their constraint graphs."""
+"""Tables of the clusters of flexible molecules for the kernel, and the kernel's source text for their graphs."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from openmm_exactrb.engines.device.flexible.blocks import Blocks, Group
 
-#: The largest number of outer atoms of a star and of atoms of a cluster with any other graph.
+#: The largest number of outer atoms of a star, and the largest number of atoms of a cluster with another graph.
 RAYS, LARGEST = 4, 32
 #: The largest number of orders of the multipliers, the relative size of terms at which a series ends, and the smallest
 #: part of a drift, which is not halved further; see `openmm_exactrb.kernels.compiled.clusters`.
@@ -48,7 +48,7 @@ def arrays(blocks: Blocks) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
 
 
 def is_star(group: Group) -> bool:
-    """Return whether clusters are stars of at most `RAYS` + 1 atoms, each of which a team of threads moves."""
+    """Return whether clusters are stars of at most `RAYS` + 1 atoms, each moved by a team of threads."""
     return group.star and group.particles.shape[1] <= RAYS + 1
 
 

@@ -46,7 +46,7 @@ class Evaluated(NamedTuple):
 
     @property
     def warning(self) -> str:
-        """The message of the warning that OpenMM evaluates the fast forces."""
+        """The message that warns of fast forces that OpenMM evaluates."""
         groups = ", ".join(str(group) for group in range(32) if self.groups >> group & 1)
         return (
             f"the device has no kernel for {self.what}: OpenMM evaluates all forces of the fast groups ({groups}) at "
@@ -62,8 +62,8 @@ class Evaluated(NamedTuple):
     def rows(self, sequence: Sequence) -> Sequence:
         """Return a sequence with inner steps for its drifts, and with separate kicks by the fast and the slow forces.
 
-        Where a fast and a slow kick meet, the fast kick comes first. At the start of the sequence the slow kick comes
-        first, because the previous step may have ended with a slow kick.
+        If a fast and a slow kick are adjacent, the fast kick comes first. At the start of the sequence, the slow kick
+        comes first, because the previous step may have ended with a slow kick.
         """
         places = itertools.groupby(self._each(sequence), lambda row: isinstance(row[0], GroupsKick))
         rows: list[tuple[Substep, float]] = []

@@ -33,9 +33,9 @@ class InnerSteps:
 
 
 def moves_of(segment: Segment, inner: InnerSteps | None) -> Moves:
-    """Return the moves of a segment for flexible molecules with the given inner steps, or without.
+    """Return the moves of a segment for flexible molecules with the given inner steps, or without inner steps.
 
-    If a segment `leaves` the last fast kick of its last drift, this kick is due in the next segment, which needs the
+    If `segment.leaves` is true, the last fast kick of its last drift is deferred to the next segment, which needs the
     fast forces at the same positions.
     """
     not_theirs = "inner" if inner is None else "others"
@@ -52,7 +52,7 @@ def moves_of(segment: Segment, inner: InnerSteps | None) -> Moves:
 
 
 def up_to_drifts(moves: Moves) -> list[Moves]:
-    """Divide moves into parts, each of which, except possibly the last, ends with a drift."""
+    """Divide moves into parts that end with a drift, except possibly the last part."""
     ends = [place + 1 for place, move in enumerate(moves) if move.op == Op.DRIFT]
     parts = [moves[begin:end] for begin, end in zip([0, *ends], [*ends, len(moves)], strict=True)]
     return [part for part in parts if part]

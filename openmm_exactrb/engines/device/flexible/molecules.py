@@ -25,7 +25,8 @@ from openmm_exactrb.multiple_time_steps.fast_forces import FastForces, fast_forc
 from openmm_exactrb.openmm_access import arrays, parameters
 from openmm_exactrb.support.types import Array, Indices
 
-#: The largest number of bonded terms of a particle: a block stores their other particles in local memory.
+#: The largest number of bonded terms of a particle, because a block stores the other particles of these terms in local
+#: memory.
 MOST_TERMS = 400
 
 
@@ -44,7 +45,7 @@ class Molecules:
     masses : (n_particles,) array
         Masses of all particles of the System.
     body_of : (n_particles,) array
-        The index of the body of each particle; -1 for particles of no body.
+        The index of the body of each particle, or -1 for a particle that belongs to no body.
     terms : Terms
         The fast forces of the molecules, with the particle indices of the System.
     inner : InnerSteps or None
@@ -75,9 +76,9 @@ class Found(NamedTuple):
     Attributes
     ----------
     bodies : RigidBodies
-        The bodies of the device. If there are flexible molecules, a constrained pair of particles is a cluster.
+        The bodies for the device engine. If there are flexible molecules, a constrained pair of particles is a cluster.
     whole : RigidBodies
-        The bodies of the host, where a constrained pair of particles is a linear body.
+        The bodies for the host engine, in which a constrained pair of particles is a linear body.
     fast : FastForces or None
     """
 

@@ -20,7 +20,7 @@ from openmm_exactrb.mechanics.state import BodyState
 from openmm_exactrb.moves import Op
 from openmm_exactrb.support.types import Array, Indices
 
-#: Threads of a block of atoms.
+#: Number of threads per block of atoms.
 THREADS = 256
 # Bits for the actions of a launch in addition to its moves, as in kernels/layout.cl.
 _MOVES, _PLACES, _PROJECTS, _SHOWS = 1, 2, 4, 8

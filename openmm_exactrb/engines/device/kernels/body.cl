@@ -1,9 +1,9 @@
 // Rigid bodies of all kinds: the state of a body, and its indices in the tables.
 //
-// The host defines these macros: BODIES, the number of bodies; LANES, the number of threads per body (1 or a block);
-// MEMORY and PER_STEP, the numbers of stored forces in total and per step; DIFFERENCES and DIFFERENCES_PER_STEP, the
-// same for differences between displaced and undisplaced forces; GRADIENTS, nonzero if the scheme has force-gradient
-// kicks; and SCALES, if heat exchanges multiply momenta by common factors.
+// The host defines macros. BODIES is the number of bodies, and LANES the number of threads per body (1 or a block).
+// MEMORY and PER_STEP are the numbers of stored forces in total and per step. DIFFERENCES and DIFFERENCES_PER_STEP are
+// these numbers for differences between displaced and undisplaced forces. GRADIENTS is nonzero if the scheme has
+// force-gradient kicks. SCALES is defined if heat exchanges multiply momenta by common factors.
 
 // The state of a body, the force on it, and the torque in its body frame. Unknown forces and torques are zero.
 typedef struct {

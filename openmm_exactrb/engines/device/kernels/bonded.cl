@@ -1,6 +1,6 @@
 // Forces of bonds, angles, torsions, maps of two torsions and pairs of atoms within a block of clusters, with the
 // formulas of openmm_exactrb.kernels.compiled.bonded. Differences of positions are computed in double precision, and
-// all further numbers in the type NUMERIC. This is `fine` (float or double), or double where float is not accurate
+// all further numbers in the type NUMERIC, which is `fine` (float or double), or double where float is not accurate
 // enough.
 //
 // Tables are stored column by column: number k of term t is numbers[k*count+t]. The atoms of a term are given by their

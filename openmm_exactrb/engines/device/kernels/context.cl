@@ -1,7 +1,8 @@
 // Access to positions and forces of the Context in single, mixed or double precision. OpenMM moves molecules by box
-// vectors. These functions undo this displacement: a place contains the slot of an atom and its numbers of box vectors.
+// vectors. These functions undo this displacement. The place of an atom consists of its slot and its numbers of box
+// vectors.
 
-// Unrolled loop: with constant indices, the compiler can keep arrays in registers.
+// Unroll a loop, so that indices are constant and the compiler can keep arrays in registers.
 #define EACH(k, n) _Pragma("unroll") for (int k = 0; k < n; k++)
 
 DEVICE inline void cell_of(int4 place, GLOBAL const double* box, double* shift) {

@@ -1,7 +1,8 @@
 // Transfer OpenMM's changes of velocities and positions between steps to the state of flexible molecules, and compute
 // the kinetic energy for the host. Atoms that OpenMM did not change keep their state to the last bit.
 
-// Add changes of velocities (CMMotionRemover, AndersenThermostat) to these velocities, or to those of another state.
+// Add changes of velocities (CMMotionRemover, AndersenThermostat) to these velocities, or to the velocities of another
+// state.
 KERNEL void flexible_pushed(GLOBAL const mixed4* velm, GLOBAL const int4* places, GLOBAL const int* atoms, GLOBAL const double* v,
         GLOBAL double* v_to) {
     for (int i = GLOBAL_ID; i < ALL_ATOMS; i += GLOBAL_SIZE) {

@@ -1,5 +1,6 @@
 // Free motion of a cluster with any constraint graph, by the series of openmm_exactrb.kernels.compiled.clusters. One
-// thread moves a cluster, with a workspace in global memory in which the same number of all clusters is contiguous.
+// thread moves a cluster, with a workspace in global memory in which the values of one quantity for all clusters are
+// contiguous.
 
 #define PART(place) room[(place)*GRAPHS+graph]
 #define MOST MOST_CONSTRAINTS

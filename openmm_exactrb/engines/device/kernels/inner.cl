@@ -5,8 +5,8 @@
 //
 // The table of moves contains kicks by fast forces, kicks by slow forces, heat exchanges and drifts. The slow forces
 // are OpenMM's forces minus the fast forces. If no blocks share terms, a launch performs all moves of a segment.
-// Otherwise it ends with the first drift, and writes positions to another array, so that no block reads new positions
-// of another.
+// Otherwise a launch ends with the first drift, and writes positions to another array, so that no block reads new
+// positions of another block.
 
 #define OF_MOVE(k, column) moves[MOVE_ROW*(k)+column]
 #define TAU(k) numbers[OF_MOVE(k, FIRST_NUMBER)]

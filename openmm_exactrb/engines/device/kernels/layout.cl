@@ -7,8 +7,8 @@ typedef FINE fine;
 // The kinds of moves in openmm_exactrb.moves, and the columns of the table of moves.
 enum { DRIFT = 0, KICK = 1, EXCHANGE = 2, LAST_KICK = 3, REMEMBER = 4, FAST_KICK = 7 };
 enum { OP, NUMBER_OF_MOVE, FIRST_NUMBER, NUMBERS_OF_MOVE, MOVE_ROW };
-// Indices, among the numbers of a heat exchange, of the friction factor of translation, which the amplitude of the
-// noise follows: for isolated bodies, and for bodies in flexible molecules.
+// Indices of the friction factor of translation among the numbers of a heat exchange, for isolated bodies and for
+// bodies in flexible molecules. The amplitude of the noise follows each factor.
 enum { FADE = 1, FADE_OF_FLEXIBLE = 5 };
 // Bits for the actions of a launch in addition to its moves.
 enum { MOVES_ATOMS = 1, PLACES_ATOMS = 2, PROJECTS = 4, SHOWS_VELOCITIES = 8 };

@@ -2,8 +2,8 @@
 // users' moves.
 
 // Exchange heat: apply friction and noise, or multiply momenta by two factors. The numbers are tau, and the friction
-// factor and the amplitude of the noise, for translation and then for rotation. The last four numbers are those of
-// bodies in flexible molecules.
+// factor and the amplitude of the noise, for translation and then for rotation. The last four numbers apply to bodies
+// in flexible molecules.
 DEVICE inline void exchange(Body* body, GLOBAL const double* constants, GLOBAL const double* numbers, GLOBAL const double* factors,
         int flexible, mm_long key, mm_long step, int number, int index) {
 #ifdef SCALES
@@ -151,7 +151,8 @@ KERNEL void segment(CONTEXT, GLOBAL const mm_long* force, TABLES, STATE, GLOBAL 
                 q_[k*BODIES+i] = body.q[k];
         }
 #if LANES > 1
-        // The other threads of the body read the new state from global memory. The displacement is the same for all.
+        // The other threads of the body read the new state from global memory. The displacement is the same for all
+        // threads.
         SYNC_THREADS
         if (LANE != 0)
             for (int row = first; row < first+count; row++)

@@ -1,8 +1,8 @@
 // Transfer OpenMM's changes of velocities and positions between steps to the state of the bodies. Bodies that OpenMM
 // did not change keep their state to the last bit.
 
-// Convert changes of velocities (CMMotionRemover, AndersenThermostat) to changes of momenta, and add these to this
-// state of the bodies, or to another one.
+// Convert changes of velocities (CMMotionRemover, AndersenThermostat) to changes of momenta, and add them to this state
+// of the bodies, or to another state.
 KERNEL void pushed(CONTEXT, TABLES, STATE, GLOBAL double* P_to, GLOBAL double* L_to) {
     SHARED
     FOR_BODIES {

@@ -1,6 +1,6 @@
 // The exact flow of the free rigid body, with the formulas for short steps of openmm_exactrb.kernels.compiled.exact,
-// but fewer divisions and roots. A longer step is a sequence of short steps. SIX_NODES and TEN_NODES are the sums of
-// the quadrature rules of openmm_exactrb.mathematics.elliptic.
+// but with fewer divisions and square roots. A longer step is a sequence of short steps. SIX_NODES and TEN_NODES are
+// the sums of the quadrature rules of openmm_exactrb.mathematics.elliptic.
 
 // The largest b G t of a short step. A body that needs more than MOST_PARTS short steps has diverged.
 #define SHORT 0.3
@@ -113,7 +113,7 @@ DEVICE inline void rotate_short(double t, double G, GLOBAL const double* body, d
 }
 
 // Advance a body by t. A long step is divided into short steps, and is therefore also exact. A body that rotates too
-// fast has diverged, and becomes nan.
+// fast has diverged, and its state becomes nan.
 DEVICE inline void rotate(double t, GLOBAL const double* body, double* q, double* m) {
     double G = sqrt(m[0]*m[0]+m[1]*m[1]+m[2]*m[2]), parts = ceil(fabs(body[0]*t)*G*(1.0/SHORT));
     if (G <= 1e-70 || t == 0.0)
@@ -138,7 +138,7 @@ DEVICE inline void attitude(const double* q, double* Q) {
     Q[6] = 2*(x*z-w*y); Q[7] = 2*(y*z+w*x); Q[8] = 1-2*(x*x+y*y);
 }
 
-// Multiply q by the quaternion of a rotation by |v| about v: openmm_exactrb.mathematics.quaternions.exponential.
+// Multiply q by the quaternion of a rotation by |v| about v, as in openmm_exactrb.mathematics.quaternions.exponential.
 DEVICE inline void turn_by(double* q, const double* v) {
     double square = v[0]*v[0]+v[1]*v[1]+v[2]*v[2], angle = sqrt(square);
     double part = angle > 1e-8 ? sin(0.5*angle)/angle : 0.5, cosine = cos(0.5*angle);

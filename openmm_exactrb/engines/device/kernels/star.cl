@@ -9,8 +9,8 @@
 //
 //     x_c = (b_c - w r_c.g)/D_c,   g = sum_c x_c r_c = (1 + w K)^-1 sum_c r_c b_c/D_c,   K = sum_c r_c r_c^T/D_c,
 //
-// so that the threads of a team exchange only sums. They use shuffles, for which all threads of a warp must execute the
-// same instructions, until the last star of the warp is complete.
+// so that the threads of a team exchange only sums. The threads use shuffles. All threads of a warp must therefore
+// execute the same instructions until the last star of the warp is complete.
 
 #if defined(__OPENCL_VERSION__)
 #define TEAM 1
@@ -76,8 +76,8 @@ DEVICE inline void invert(double w, const double* K, double* inverse) {
 }
 
 // Advance a cluster by t (ps) if it is a star. For t = 0, only project the velocities, which removes components along
-// constraints. The first atom has the index `at` in the block. A thread without a cluster is `idle`, but takes part in
-// shuffles.
+// constraints. The first atom has the index `at` in the block. A thread without a cluster is `idle`, but participates
+// in shuffles.
 DEVICE inline void move_star(bool idle, double t, GLOBAL const int* cluster, int at, GLOBAL const double* inverse_masses, GLOBAL const double* lengths,
         LOCAL_ARG double* xs, GLOBAL double* v) {
     const bool moves = !idle && cluster[GRAPH] < 0;
