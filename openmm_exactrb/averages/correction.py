@@ -62,6 +62,7 @@ class Average:
         The average minus the step-size error.
     error : float
         The standard deviation of the mean, which includes statistical errors and the uncertainty of the correction.
+        Statistical errors are from 20 blocks of consecutive frames, which must be longer than the correlation times.
     correction : float
         The difference between `mean` and the average over the frames.
     correction_error : float

@@ -61,6 +61,7 @@ class Frames:
         if dynamics.fast is not None and dynamics.fast.excerpt is not None:
             self._inner[dynamics.fast.excerpt.part.columns] = True
         self._scaled = _ScaledContext(simulation, dynamics, self._kT) if pressure else None
+        self._sites = _VirtualSites(simulation.system)
 
     def row(self, state: openmm.State, observables: Mapping[str, Observable]) -> list[float]:
         """Return the values of the columns that follow the time, for a State with energy, forces and positions."""
@@ -75,7 +76,7 @@ class Frames:
             values.append(self._dynamics.chords.mean(x, self._kT))
         if self._around is not None:
             values.append(_sum(square, self._near(x, state)))
-        fields = [self._field(of_bodies, slow, chosen) for chosen in (~self._inner, self._inner)]
+        fields = [self._field(x, of_bodies, slow, chosen) for chosen in (~self._inner, self._inner)]
         if self._scaled is not None:
             values += self._scaled.pressure(state, of_bodies, total, fields, self._generalised)
         for name, observable in observables.items():
@@ -115,12 +116,13 @@ class Frames:
         bodies[owner[near & (owner >= 0)]] = 1.0
         return bodies, bodies[: self.bodies.n_turning]
 
-    def _field(self, state: BodyState, slow: Force, chosen: NDArray[np.bool_]) -> Field:
+    def _field(self, x: Array, state: BodyState, slow: Force, chosen: NDArray[np.bool_]) -> Field:
         """Return the velocity field M⁻¹f_s of selected bodies, which is zero for all others."""
         turning = chosen[: self.bodies.n_turning]
         own = Force(slow.force * chosen, slow.torque * turning)
         particles = np.zeros((self.bodies.n_particles, 3))
         self.bodies.velocities(state._replace(P=own.force, m=own.torque), particles)
+        self._sites.follow(x, particles)
         return Field(Force(own.force / self.bodies.mass, own.torque / self.bodies.inertia.T), particles)
 
 
@@ -145,11 +147,36 @@ def _value(name: str, observable: Observable, x: Array) -> float:
 
 def _slope(observable: Observable, x: Array, field: Array) -> float:
     """Return the slope of an observable along a field of velocities (n_particles, 3)."""
-    largest = float(np.abs(field).max())
-    if not largest:
+    if not field.any():
         return 0.0
-    shift = _SHIFT / largest
+    shift = _shift(field)
     return (observable(x + shift * field) - observable(x - shift * field)) / (2.0 * shift)
+
+
+def _shift(field: Array) -> float:
+    """Return the time in which the largest displacement along a field of velocities is `_SHIFT`."""
+    return _SHIFT / float(np.abs(field).max())
+
+
+class _VirtualSites:
+    """The virtual sites of a System, in a Context in double precision."""
+
+    def __init__(self, system: openmm.System) -> None:
+        self._places = np.array([i for i in range(system.getNumParticles()) if system.isVirtualSite(i)], dtype=np.intp)
+        if len(self._places):
+            platform = openmm.Platform.getPlatform("Reference")
+            self._own = openmm.Context(system, openmm.VerletIntegrator(0.001), platform)
+
+    def follow(self, x: Array, field: Array) -> None:
+        """Write into a field the velocities of the sites that follow from those of the other particles."""
+        if len(self._places) and field.any():
+            shift = _shift(field)
+            field[self._places] = (self._at(x + shift * field) - self._at(x - shift * field)) / (2.0 * shift)
+
+    def _at(self, x: Array) -> Array:
+        self._own.setPositions(x)
+        self._own.computeVirtualSites()
+        return arrays.positions(self._own.getState(positions=True))[self._places]
 
 
 class _FastContext:

@@ -89,9 +89,11 @@ def reporting(simulation, file, interval, **options):
     simulation.reporters.remove(reporter)
 
 
-def water(integrator, *forces):
-    smooth = {"nonbondedMethod": app.PME, "nonbondedCutoff": 0.6, "switchDistance": 0.5, "ewaldErrorTolerance": 1e-6}
-    topology, system, positions = rb.rigid_water(64, **smooth)
+SMOOTH = {"nonbondedMethod": app.PME, "nonbondedCutoff": 0.6, "switchDistance": 0.5, "ewaldErrorTolerance": 1e-6}
+
+
+def water(integrator, *forces, model="tip3p"):
+    topology, system, positions = rb.rigid_water(64, model=model, **SMOOTH)
     for force in forces:
         system.addForce(force)
     simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
@@ -101,35 +103,37 @@ def water(integrator, *forces):
 
 
 def energy_of(system, scale=1.0, sizes=3):
-    """Return the potential energy as a function of positions, with the centres of molecules scaled."""
+    """Return the potential energy as a function of the positions of atoms, with the centres of molecules scaled."""
     context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
     box = system.getDefaultPeriodicBoxVectors()
     context.setPeriodicBoxVectors(*(scale * vector for vector in box))
 
     def energy(x):
-        centres = x.reshape(-1, sizes, 3).mean(axis=1, keepdims=True)
-        context.setPositions((x.reshape(-1, sizes, 3) + (scale - 1.0) * centres).reshape(-1, 3))
+        context.setPositions(x)
+        context.computeVirtualSites()
+        x = context.getState(positions=True).getPositions(asNumpy=True)._value.reshape(-1, sizes, 3)
+        context.setPositions((x + (scale - 1.0) * x.mean(axis=1, keepdims=True)).reshape(-1, 3))
         return context.getState(energy=True).getPotentialEnergy()._value
 
     return energy
 
 
-def test_work_pressure_and_its_slope_are_difference_quotients(tmp_path):
+@pytest.mark.parametrize(("model", "sizes"), [("tip3p", 3), ("tip4pew", 4), ("tip5p", 5)])
+def test_work_pressure_and_its_slope_are_difference_quotients(tmp_path, model, sizes):
     integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 5.0, 0.002, scheme="BAOA")
     integrator.setRandomNumberSeed(3)
-    smooth = {"nonbondedMethod": app.PME, "nonbondedCutoff": 0.6, "switchDistance": 0.5, "ewaldErrorTolerance": 1e-6}
-    system = rb.rigid_water(64, **smooth)[1]
-    plain = energy_of(system)
+    system = rb.rigid_water(64, model=model, **SMOOTH)[1]
+    plain = energy_of(system, sizes=sizes)
     volume = np.linalg.det(np.array([v._value for v in system.getDefaultPeriodicBoxVectors()]))
 
     def pressure(stretch):
-        wide, narrow = energy_of(system, 1.0 + stretch), energy_of(system, 1.0 - stretch)
+        wide, narrow = (energy_of(system, 1.0 + s, sizes) for s in (stretch, -stretch))
         change = volume * ((1.0 + stretch) ** 3 - (1.0 - stretch) ** 3)
         return lambda x: BAR * (64 * KT / volume - (wide(x) - narrow(x)) / change)
 
     # Roundoff of the energies is a thousandth of the slope of the pressure unless the range is wide.
     observables = {"energy": plain, "pressure again": pressure(0.001), "wide pressure": pressure(0.01)}
-    file, simulation = tmp_path / "water.csv", water(integrator)
+    file, simulation = tmp_path / "water.csv", water(integrator, model=model)
     with reporting(simulation, file, 2, pressure=True, observables=observables):
         simulation.step(4)
     columns = read(file)[1]
@@ -139,6 +143,29 @@ def test_work_pressure_and_its_slope_are_difference_quotients(tmp_path):
     assert columns["damped work"] == pytest.approx(columns["work"], rel=1e-12)
     assert columns["pressure"] == pytest.approx(columns["pressure again"], rel=1e-5)
     assert columns["pressure slope"] == pytest.approx(columns["wide pressure slope"], rel=1e-3)
+
+
+def place_of(particle, axis):
+    return lambda x: x[particle, axis]
+
+
+@pytest.mark.parametrize("pressure", [False, True])
+def test_virtual_sites_move_with_their_atoms_in_the_slopes_of_observables(tmp_path, pressure):
+    """The lone pairs of TIP5P: a linear combination of the bonds of the oxygen and of their cross product."""
+    simulation = water(rb.ExactRigidBodyLangevinIntegrator(300.0, 5.0, 0.002), model="tip5p")
+    site = simulation.system.getVirtualSite(3)
+    observables = {f"{particle} {axis}": place_of(particle, axis) for particle in range(4) for axis in range(3)}
+    with reporting(simulation, tmp_path / "water.csv", 1, observables=observables, pressure=pressure):
+        simulation.step(3)
+    columns = read(tmp_path / "water.csv")[1]
+    x, v = (
+        np.array([[columns[f"{particle} {axis}{kind}"] for axis in range(3)] for particle in range(4)]).swapaxes(1, 2)
+        for kind in ("", " slope")
+    )
+    (a, b), (of_a, of_b) = ((of[1:3] - of[0]) for of in (x, v))
+    across = np.cross(of_a, b) + np.cross(a, of_b)
+    moved = v[0] + site.getWeight12() * of_a + site.getWeight13() * of_b + site.getWeightCross() * across
+    assert v[3] == pytest.approx(moved, rel=1e-5, abs=1e-6 * np.abs(moved).max())
 
 
 def test_the_slow_forces_are_those_of_the_kicks(tmp_path):
