@@ -41,6 +41,7 @@ import openmm
 from numpy.typing import ArrayLike
 from openmm import unit
 
+from openmm_exactrb.averages.correlation import error_of_mean
 from openmm_exactrb.averages.estimators import FRAME, READY, Columns, Sampled, given, named, pressure_of
 from openmm_exactrb.averages.frames import BAR
 from openmm_exactrb.averages.record import Settings, read
@@ -48,8 +49,8 @@ from openmm_exactrb.openmm_access.units import plain
 from openmm_exactrb.support import checks
 from openmm_exactrb.support.types import Array
 
-# The number of blocks of the jackknife, and the smallest number of frames.
-_BLOCKS, _FEWEST = 20, 40
+# The largest number of blocks of the jackknife, and the smallest number of frames.
+_BLOCKS, _FEWEST = 100, 40
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ class Average:
         The average minus the step-size error.
     error : float
         The standard deviation of the mean, which includes statistical errors and the uncertainty of the correction.
-        Statistical errors are from 20 blocks of consecutive frames, which must be longer than the correlation times.
+        Statistical errors account for the autocorrelation of the frames.
     correction : float
         The difference between `mean` and the average over the frames.
     correction_error : float
@@ -275,12 +276,13 @@ def _jackknife(columns: Columns, of: Callable[[Columns], _Result]) -> Average:
     frames = len(columns["step"])
     value, weak, strong, higher = of(columns)
     left_out = []
-    for block in np.array_split(np.arange(frames), _BLOCKS):
+    for block in np.array_split(np.arange(frames), min(frames, _BLOCKS)):
         kept = np.ones(frames, dtype=bool)
         kept[block] = False
         mean, *limits, rest = of({name: values[kept] for name, values in columns.items()})
         left_out.append((mean - np.mean(limits) - rest, np.mean(limits) + rest))
-    statistical = np.std(left_out, axis=0) * np.sqrt(_BLOCKS - 1.0)
+    # The pseudo-values of the jackknife, up to a constant: their mean has the variance of the result.
+    statistical = [error_of_mean((len(left_out) - 1) * series) for series in np.transpose(left_out)]
     systematic = float(np.hypot(weak - strong, higher) / np.sqrt(12.0))  # standard deviation of uniform distributions
     error, of_correction = map(float, np.hypot(statistical, systematic))
     off = 0.5 * (weak + strong) + higher
