@@ -177,7 +177,14 @@ def _with_topology(args: argparse.Namespace, topology: Path, places: Path) -> Bo
     read_start, read_topology, box_of = _POSITIONS[places.suffix.lower()]
     start: Any = _understood(str(places), read_start, str(places))
     vectors = box_of(start)
+    if vectors is not None and not any(vectors[i][i]._value for i in range(3)):  # as a .gro file without a box has
+        vectors = None
     content: Any = _understood(str(topology), read_topology, str(topology), periodicBoxVectors=vectors)
+    if vectors is None and content.topology.getPeriodicBoxVectors() is not None:
+        raise ValueError(
+            f"{topology} has a periodic box, but {places} contains none and may be truncated: pass a coordinate file "
+            "that contains the box"
+        )
     if len(start.positions) != content.topology.getNumAtoms():
         raise ValueError(
             f"the numbers of particles in {places} ({len(start.positions)}) and in {topology} "
@@ -260,6 +267,8 @@ def _understood(what: str, function: Callable[..., Any], *arguments: Any, **opti
         return function(*arguments, **options)
     except OSError:
         raise
+    except LookupError as error:  # whose text says nothing about the file
+        raise ValueError(f"{what} cannot be used: it is incomplete, or has another format than its name") from error
     except Exception as error:
         raise ValueError(f"{what} cannot be used: {' '.join(str(error).split())}") from error
 

@@ -14,9 +14,10 @@ import openmm
 import openmm_exactrb
 from openmm_exactrb.command import info, run, tune
 from openmm_exactrb.command.arguments import Parser
+from openmm_exactrb.tuning.budget import BudgetSpentError
 
 # Exceptions caused by a user's files and options.
-_ERRORS = (ValueError, ArithmeticError, OSError, ModuleNotFoundError, openmm.OpenMMException)
+_ERRORS = (ValueError, ArithmeticError, OSError, ModuleNotFoundError, BudgetSpentError, openmm.OpenMMException)
 _NOBODY_READS = 141  # the exit status after SIGPIPE, a signal that Windows lacks
 _COMMANDS = {"run": run, "tune": tune, "info": info}
 

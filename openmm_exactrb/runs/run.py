@@ -143,7 +143,7 @@ class Run:
             Class or function that creates the reporter from the path, the interval and ``append=``, for example
             `EnergyReporter` or OpenMM's DCDReporter and StateDataReporter. Use `functools.partial` for further options.
         name : str
-            Name of the file in the folder.
+            Name of the file in the folder, or its path relative to the folder.
         interval : int
             Number of steps between two reports; the initial state is also reported.
 
@@ -152,13 +152,19 @@ class Run:
         FileExistsError
             If the file may not be written; see `path`.
         ValueError
-            If the interval is not a positive whole number, the reporter takes no ``append=``, or the file belongs to
-            another reporter or to the run itself.
+            If the interval is not a positive whole number, the reporter takes no ``append=``, or the file is outside
+            the folder or belongs to another reporter or to the run itself.
         """
-        if name in (CHECKPOINT, TOPOLOGY):
+        name = os.path.normpath(name)
+        if Path(name).is_absolute() or Path(name).parts[:1] in ((), (os.pardir,)):
+            raise ValueError(f"{name} is outside the folder of the run, {self.folder}: use the name of a file in it")
+        if name.removesuffix(".part") in (CHECKPOINT, TOPOLOGY):
             raise ValueError(f"{name} is a file of the run itself: choose another file name for the reporter")
         self.path(name)
-        self._outputs.add(reporter, name, whole(interval, "interval", of="steps"))
+        steps = whole(interval, "interval", of="steps")
+        if steps >= 2**31:  # trajectories store 32 bits
+            raise ValueError(f"interval must be less than {2**31} steps, not {steps}: use a shorter interval")
+        self._outputs.add(reporter, name, steps)
 
     def advance(self, simulation: Any, until: int, progress: Callable[[int], object] | None = None) -> None:
         """Advance a Simulation to step `until`, from its start or from the checkpoint.
@@ -182,8 +188,8 @@ class Run:
         Raises
         ------
         ValueError
-            If the checkpoint belongs to another System, platform, version, integrator or setting, or a file has become
-            shorter. Nothing is changed in these cases.
+            If the checkpoint belongs to another System, platform, version, integrator or setting, a file has become
+            shorter, or the Simulation has left the last step of the run. Nothing is changed in these cases.
         BlockingIOError
             If another process is running in the folder.
         IntegrationError
@@ -291,6 +297,11 @@ class Run:
         if self.resuming:
             self._last.check_cut_files(self.folder)
             _load(simulation, self._last)
+        elif simulation.currentStep != self._last.step:
+            raise ValueError(
+                f"the Simulation is at step {simulation.currentStep}, but the run is at step {self._last.step}: change "
+                "the step of the Simulation only with advance()"
+            )
         self.resuming = False
         self._outputs.open(simulation, self._last.files, self._last.first)
 

@@ -127,6 +127,8 @@ def tune(
     ValueError
         If an argument is missing or invalid, all velocities are zero and no temperature is given, the temperature is
         not reached, or a scheme is unknown or cannot be used.
+    RuntimeError
+        If the budget is spent before the first measurement.
     """
     wanted = None if target is None else positive(target, "target", "kJ/mol per body")
     allowed = Budget(positive(stripped(budget, unit.second), "budget", "s"))

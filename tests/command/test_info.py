@@ -75,6 +75,13 @@ def test_a_topology_of_gromacs_is_read_with_its_positions_in_either_order(tmp_pa
         assert "periodic box, 2.5 x 2.5 x 2.5 nm" in lines
         assert "2 rigid bodies of 3 particles (HOH)" in lines
         assert "positions deviated from the shapes of bodies and were corrected (bodies affected: 2)" in lines
+    *atoms, _ = GRO.splitlines()
+    files[0].write_text("\n".join([*atoms, "   0.0 0.0 0.0", ""]))  # as GROMACS writes it without a box
+    assert "periodic box" not in said(capsys, *files)
+    files[0].write_text("\n".join(atoms[:-2]))
+    assert main(["info", *map(str, files)]) == 2
+    assert "two.gro cannot be used: it is incomplete" in capsys.readouterr().err
+    files[0].write_text(GRO)
     files[1].write_text(TOP.removesuffix("2\n") + "3\n")
     assert main(["info", *map(str, files)]) == 2
     assert "(6) and in" in capsys.readouterr().err
@@ -94,6 +101,10 @@ def test_a_topology_of_amber_is_read_with_its_positions_in_either_order(tmp_path
     short.write_text("\n".join([header, count.replace("6", "5", 1), *rows[:2], rows[2][:36], box, ""]))
     assert main(["info", str(files[0]), str(short)]) == 2
     assert "(5) and in" in capsys.readouterr().err
+    cut = tmp_path / "cut.rst7"
+    cut.write_text("\n".join([header, count, *rows, ""]))
+    assert main(["info", str(files[0]), str(cut)]) == 2
+    assert "has a periodic box, but" in capsys.readouterr().err
     assert main(["info", str(files[0])]) == 2
     assert "a prmtop and an inpcrd" in capsys.readouterr().err
     assert main(["info", str(shutil.copy(short, tmp_path / "no.prmtop")), str(files[1])]) == 2

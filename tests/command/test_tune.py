@@ -46,3 +46,11 @@ def test_a_mistake_is_one_line(serialised, tmp_path, monkeypatch, capsys, argume
     assert message in errors
     assert errors.count("\n") == 1
     assert out == ""
+
+
+def test_a_budget_that_allows_no_measurement_is_one_line(serialised, capsys):
+    assert main(["tune", *map(str, serialised), "--budget", "1e-6", "--quiet"]) == 2
+    out, errors = capsys.readouterr()
+    assert out == ""
+    spent = "the budget of 1e-06 s of processor time is spent before the first result: allow a larger budget"
+    assert errors == f"exactrb tune: {spent}\n"

@@ -97,6 +97,11 @@ def test_a_first_checkpoint_that_could_not_be_written_is_tried_again(tmp_path, m
         ("energies.csv", rb.EnergyReporter, "another reporter already writes the file energies.csv"),
         ("checkpoint", rb.EnergyReporter, "checkpoint is a file of the run itself"),
         ("topology.pdb", rb.EnergyReporter, "topology.pdb is a file of the run itself"),
+        ("./checkpoint", rb.EnergyReporter, "checkpoint is a file of the run itself"),
+        ("checkpoint.part", rb.EnergyReporter, "checkpoint.part is a file of the run itself"),
+        ("a/../energies.csv", rb.EnergyReporter, "another reporter already writes the file energies.csv"),
+        ("../energies.csv", rb.EnergyReporter, "energies.csv is outside the folder of the run"),
+        ("/energies.csv", rb.EnergyReporter, "/energies.csv is outside the folder of the run"),
         ("other.dcd", "DCD", "not 'DCD'"),
     ],
 )
@@ -165,3 +170,20 @@ def test_a_system_that_cannot_be_serialised_is_refused(tmp_path):
     with pytest.raises(ValueError, match="OpenMM cannot serialise the System of this run"):
         make(tmp_path).advance(simulation, 10)
     assert not list(tmp_path.iterdir())
+
+
+def test_an_interval_that_trajectories_cannot_store_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="interval must be less than 2147483648 steps"):
+        make(tmp_path).add_reporter(rb.EnergyReporter, "other.csv", 2**31)
+
+
+@pytest.mark.parametrize("leave", [lambda s: s.step(7), lambda s: setattr(s, "currentStep", 0)])
+def test_a_simulation_that_left_the_last_step_between_two_calls_is_refused(tmp_path, leave):
+    """Lines of steps would be lost or repeated."""
+    run, simulation = make(tmp_path), droplet()
+    run.advance(simulation, 20)
+    before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
+    leave(simulation)
+    with pytest.raises(ValueError, match=r"the Simulation is at step \d+, but the run is at step 20: change the step"):
+        run.advance(simulation, 40)
+    assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before
