@@ -6,6 +6,8 @@ as a user would: the sum of the potential energy, the kinetic energy of the velo
 pressure and volume. Corrections for the step are those of corrected_water.py.
 
     python benchmarks/water/equipartition.py --models tip4p2005 --ensembles NPT --record docs/water_densities.csv
+    python benchmarks/water/equipartition.py --models tip4p2005 --ensembles NPT --record docs/water_densities.csv \
+        --methods hybrid --intervals 4 --kelvin 277.15
     python benchmarks/water/tip4p2005.py
 """
 
@@ -32,6 +34,7 @@ ROWS = {
     "NoseHoover": "`NoseHooverIntegrator`",
     "NoseHoover/W2_3m": "Nosé-Hoover chains, `W2_3m`",
     "W2_3m": "`W2_3m`",
+    "hybrid": "hybrid Monte Carlo",
 }
 LINES = {LFM: ("#D55E00", "o"), "BAOAB": ("#009E73", "v"), "W2_3m": ("#0072B2", "D")}
 Found = dict[tuple[float, str, float], dict[str, tuple[float, float]]]
