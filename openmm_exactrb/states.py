@@ -83,7 +83,8 @@ def read_xml(file: str | os.PathLike[str], kind: type[Any], writer: str = "openm
         content: Any = openmm.XmlSerializer.deserialize(Path(file).read_text(encoding="utf-8"))
     except (openmm.OpenMMException, ValueError) as error:
         raise ValueError(
-            f"{file} was not written by {writer} ({' '.join(str(error).split())}): pass a file that {writer} wrote"
+            f"{file} cannot be read as a file of {writer} ({' '.join(str(error).split())}): pass a complete file that "
+            f"{writer} wrote"
         ) from None
     if not isinstance(content, kind):
         raise ValueError(

@@ -194,8 +194,8 @@ def _named(observables: Any) -> dict[str, Observable]:
         plain_text = name.isprintable() and name == name.strip() != "" and not set(name) & set(',("')
         if name in READY or not plain_text or any(columns.count(column) > 1 for column in of_observable(name)):
             raise ValueError(
-                f"an observable cannot have the name {name!r}: choose a name without commas, brackets or quotation "
-                "marks that is not the name of a ready-made observable or a column"
+                f"an observable cannot have the name {name!r}: choose a name that is not that of a column, nor one of "
+                f"{', '.join(READY)}, and that contains no commas, brackets or quotation marks"
             )
     return dict(observables)
 
@@ -204,12 +204,17 @@ def _around(around: Any) -> tuple[list[int], float]:
     """Return the particles and the distance (nm) of a neighbourhood."""
     if not isinstance(around, Sequence) or len(around) != 2:
         raise ValueError(
-            f"around must be a pair of particles and a distance, such as ([0, 1, 2], 0.5), not {reprlib.repr(around)}"
+            "around= must be a tuple of particle indices and a distance in nm, such as ([0, 1, 2], 0.5), not "
+            f"{reprlib.repr(around)}"
         )
-    (particles,) = checks.lists_of_indices([around[0]], "the particles of around")
+    try:
+        (particles,) = checks.lists_of_indices([around[0]], "around")
+    except ValueError:
+        particles = []
     if not particles or min(particles) < 0:
         raise ValueError(
-            f"the particles of around must be a list of at least one index from 0 on, not {reprlib.repr(around[0])}"
+            "the particles of around= must be a list of indices of particles, such as [0, 1, 2], not "
+            f"{reprlib.repr(around[0])}"
         )
     distance = checks.positive(plain(around[1], unit.nanometer, "a distance"), "the distance of around", of="nm")
     return particles, distance

@@ -31,7 +31,7 @@ _PART, _LONGEST = 0.2, 5.0
 
 
 def claim(job: Run, args: argparse.Namespace, files: Iterable[str]) -> None:
-    """Delete files that a locked run overwrites from its folder, and raise FileExistsError for files of other runs.
+    """Delete from the folder of a locked run the files that it may overwrite; raise FileExistsError for other files.
 
     The run writes `files` in addition to `START` and `STEP`. A run that is resumed without a checkpoint creates `START`
     and `STEP` again.

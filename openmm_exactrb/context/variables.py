@@ -103,7 +103,7 @@ def declare_device(integrator: openmm.CustomIntegrator, own: Sequence[str] = ())
 
 
 def own_numbers(integrator: openmm.CustomIntegrator) -> list[str]:
-    """Return the names of the numbers that only some integrators have."""
+    """Return the names of the numbers that an integrator has in addition to those of all integrators."""
     names = range(1 + len(_NUMBERS), integrator.getNumGlobalVariables())
     return [integrator.getGlobalVariableName(k).removeprefix(_PREFIX) for k in names]
 
@@ -119,7 +119,7 @@ def put(integrator: openmm.CustomIntegrator, name: str, value: float) -> None:
 
 
 def step_openmm(integrator: openmm.CustomIntegrator, steps: int) -> None:
-    """Let OpenMM perform its own part of steps, in which barostats and thermostats of the System act."""
+    """Let OpenMM perform its own part of the given steps, in which barostats and thermostats of the System act."""
     before = get(integrator, _STORED)
     put(integrator, _STORED, _STEPPING)
     try:

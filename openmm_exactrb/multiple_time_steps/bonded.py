@@ -73,7 +73,8 @@ def separate_bonded(system: openmm.System) -> int:
     free = [group for group in range(_GROUPS) if group not in others]
     if not free:
         raise ValueError(
-            "the System uses all 32 force groups: put two of its forces into the same group with force.setForceGroup"
+            "all 32 force groups contain forces other than bonded forces, which need a group of their own: put two of "
+            "the other forces into the same group with force.setForceGroup"
         )
     for force in system.getForces():
         if isinstance(force, BONDED_FORCES):

@@ -66,7 +66,7 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         """
         propagator = self._up_to_date()
         if (exchange := propagator.last_exchange) is None:
-            raise ValueError("no heat exchange has taken place yet: call step() first")
+            raise ValueError("no heat exchange has taken place since the bodies were last changed: call step() first")
         energies = [thermal_energies(propagator, state) for state in exchange]
         return temperatures_of([0.5 * sum(pair) for pair in zip(*energies, strict=True)], freedom_of(propagator))
 

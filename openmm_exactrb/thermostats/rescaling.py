@@ -1,7 +1,7 @@
 """Stochastic velocity rescaling, which samples the canonical kinetic energy with little disturbance of the motion.
 
-G. Bussi, D. Donadio and M. Parrinello (2007), doi:10.1063/1.2408420. All momenta are multiplied by one number, such
-that the kinetic energy is drawn from its exact distribution a time tau later.
+G. Bussi, D. Donadio and M. Parrinello (2007), doi:10.1063/1.2408420. All momenta are multiplied by one factor. The
+factor is chosen so that the kinetic energy follows its exact distribution after the duration of the substep.
 """
 
 from __future__ import annotations

@@ -24,8 +24,8 @@ def expected_error(energies: Array, interval: float, horizon: float) -> float:
     A significant drift is extrapolated linearly. The variance of the remainder within windows of 1/8, 1/4, 1/2 and all
     of the run is fitted by a power of the window length and extrapolated to the horizon. The power is kept between 0
     (the energy oscillates about a mean) and 1 (the energy is a random walk). A single run determines a random walk
-    poorly, so the contribution of the remainder is increased by up to a half. The documentation ("How long advice
-    holds") tabulates how often longer runs still exceed the result.
+    poorly, so the contribution of the remainder is increased by up to a half. The section "How long
+    advice holds" of the documentation states how often the errors of longer runs exceed the result.
 
     Parameters
     ----------

@@ -11,7 +11,7 @@ TIGHT = 1e-5
 
 
 def causes(system: openmm.System) -> Iterator[str]:
-    """Yield the settings of a System that limit the energy error of every integrator, with remedies."""
+    """Yield the settings of a System that cause an energy error with every integrator, each with a remedy."""
     for force in system.getForces():
         if not isinstance(force, (openmm.NonbondedForce, openmm.CustomNonbondedForce)):
             continue

@@ -105,7 +105,9 @@ def initial_state(
         states.append(start)
         start = None
     elif start is None and not states:
-        raise ValueError("start= is missing: pass a State or positions, or a Simulation")
+        raise ValueError(
+            "start= is missing: pass a State or positions as start=, or a Simulation instead of the System"
+        )
     twin, left_out = conservative(system)
     gathered = openmm.Context(twin, openmm.VerletIntegrator(0.001), platform_of("Reference"))
     for state in states:

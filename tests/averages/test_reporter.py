@@ -124,14 +124,23 @@ def test_names_of_observables_are_not_those_of_slopes(tmp_path):
         ({"observables": {"a": 1.0}}, "not a mapping that contains 'a': 1.0"),
         ({"observables": {1: first}}, "not a mapping that contains 1: "),
         ({"append": "no"}, "append must be True or False"),
-        ({"around": 5}, r"around must be a pair of particles and a distance, .*, not 5"),
+        ({"around": 5}, r"around= must be a tuple of particle indices and a distance in nm, .*, not 5"),
         (
             {"around": ([0], 1, 2)},
-            r"around must be a pair of particles and a distance, such as \(\[0, 1, 2\], 0\.5\), not",
+            r"around= must be a tuple of particle indices and a distance in nm, such as \(\[0, 1, 2\], 0\.5\), not",
         ),
-        ({"around": ([], 0.5)}, "the particles of around must be a list of at least one index from 0 on"),
-        ({"around": ([-1], 0.5)}, "the particles of around must be a list of at least one index from 0 on"),
-        ({"around": ([0.5], 0.5)}, "the particles of around must be lists of particle indices"),
+        (
+            {"around": ([], 0.5)},
+            r"the particles of around= must be a list of indices of particles, such as \[0, 1, 2\], not",
+        ),
+        (
+            {"around": ([-1], 0.5)},
+            r"the particles of around= must be a list of indices of particles, such as \[0, 1, 2\], not",
+        ),
+        (
+            {"around": ([0.5], 0.5)},
+            r"the particles of around= must be a list of indices of particles, such as \[0, 1, 2\], not",
+        ),
         ({"around": ([0], -1.0)}, "the distance of around must be a positive number"),
     ],
 )

@@ -90,8 +90,8 @@ class DevicePropagator:
         behind = behind_exchange(of.scheme.sequence)
         if behind and (evaluated := self._served.evaluated) is not None:
             raise ValueError(
-                f"the device has no kernel for {evaluated.what}, which the energy at the heat exchange of "
-                f"{of.outer.name} needs: use engine='host'"
+                f"the device has no kernel for {evaluated.what}, so it cannot compute the energy at the heat exchange "
+                f"of {of.outer.name}: use engine='host'"
             )
         self.sync.pull()
         bodies, state = self.sync.bodies, self.sync.state

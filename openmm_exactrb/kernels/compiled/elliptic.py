@@ -127,7 +127,10 @@ def carlson_rj(x, y, z, p):
 
 @inlined
 def rescaled(y1, y2):
-    """Return (y1, y2)/unit and unit: 1, or a power of two if fourth powers would underflow; (0, 1) and 0 for zeros."""
+    """Return (y1, y2)/unit and unit. The unit is 1, or a power of two if fourth powers would underflow.
+
+    If y1 and y2 are both zero, return (0, 1) and the unit 0.
+    """
     size = max(abs(y1), abs(y2))
     if size >= VANISHING:
         return y1, y2, 1.0
