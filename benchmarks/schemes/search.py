@@ -1,7 +1,7 @@
 """Search for splittings of rigid water at large steps, tested in long runs.
 
-A family is a palindromic word such as BACAB, whose letters are drifts (A), kicks (B) and force-gradient kicks (C), and
-which leaves some coefficients free. The search has three stages. Each consists of jobs of `openmm_exactrb.ensemble`, so
+A family is a symmetric sequence such as BACAB of drifts (A), kicks (B) and force-gradient kicks (C), in which some
+coefficients are free. The search has three stages. Each consists of jobs of `openmm_exactrb.ensemble`, so
 that an interrupted command can be resumed:
 
 1. `linear` needs no simulation. A step transforms an oscillator of frequency w into one with the Hamiltonian (alpha p²

@@ -8,7 +8,7 @@ field w = M⁻¹f_s.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -76,6 +76,8 @@ class Frames:
             values.append(self._dynamics.chords.mean(x, self._kT))
         if self._around is not None:
             values.append(_sum(square, self._near(x, state)))
+        if not observables and self._scaled is None:
+            return values
         fields = [self._field(x, of_bodies, slow, chosen) for chosen in (~self._inner, self._inner)]
         if self._scaled is not None:
             values += self._scaled.pressure(state, of_bodies, total, fields, self._generalised)
@@ -162,10 +164,13 @@ class _VirtualSites:
     """The virtual sites of a System, in a Context in double precision."""
 
     def __init__(self, system: openmm.System) -> None:
+        self._system = system
         self._places = np.array([i for i in range(system.getNumParticles()) if system.isVirtualSite(i)], dtype=np.intp)
-        if len(self._places):
-            platform = openmm.Platform.getPlatform("Reference")
-            self._own = openmm.Context(system, openmm.VerletIntegrator(0.001), platform)
+
+    @cached_property
+    def _own(self) -> openmm.Context:
+        platform = openmm.Platform.getPlatform("Reference")
+        return openmm.Context(self._system, openmm.VerletIntegrator(0.001), platform)
 
     def follow(self, x: Array, field: Array) -> None:
         """Write into a field the velocities of the sites that follow from those of the other particles."""

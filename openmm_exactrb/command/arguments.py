@@ -1,4 +1,4 @@
-"""Types of command-line options: numbers within a range, and times with or without a unit."""
+"""Types of command-line options: numbers within a range, and times with or without a unit; common options."""
 
 from __future__ import annotations
 
@@ -75,3 +75,9 @@ def time_with_unit(text: str) -> float:
 def time_or_auto(text: str) -> float | None:
     """Convert text with a unit to a positive time in ps, or "auto" to None."""
     return None if text == "auto" else time_with_unit(text)
+
+
+def add_seed_and_platform(add: Callable[..., Any], seeded: str) -> None:
+    """Add --seed, with a description of what it determines, and --platform."""
+    add("--seed", type=seed, default=1, metavar="N", help=f"seed of {seeded} (default: %(default)s)")
+    add("--platform", metavar="NAME", help="OpenMM platform (default: the fastest)")

@@ -101,14 +101,7 @@ def _add_dynamics(add: Callable[..., Any]) -> None:
         "fifth of --duration, at most 5 ps)"
     )
     add("--equilibrate", type=arguments.time_or_zero, metavar="T", help=start)
-    add(
-        "--seed",
-        type=arguments.seed,
-        default=1,
-        metavar="N",
-        help="seed of velocities, noise and barostat (default: %(default)s)",
-    )
-    add("--platform", metavar="NAME", help="OpenMM platform (default: the fastest)")
+    arguments.add_seed_and_platform(add, "velocities, noise and barostat")
 
 
 def carry_out(args: argparse.Namespace) -> int:

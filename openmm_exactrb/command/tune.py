@@ -46,14 +46,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="T",
         help="length of the survey runs, in ps, or with a unit (default: from the forces and the budget)",
     )
-    add(
-        "--seed",
-        type=arguments.seed,
-        default=1,
-        metavar="N",
-        help="seed of velocities and noise (default: %(default)s)",
-    )
-    add("--platform", metavar="NAME", help="OpenMM platform (default: the fastest)")
+    arguments.add_seed_and_platform(add, "velocities and noise")
     add("--quiet", action="store_true", help="do not print a line for each run")
 
 
