@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import warnings
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -12,6 +13,7 @@ import openmm
 from openmm import app
 
 from openmm_exactrb.command.inputs import Box, begin_at
+from openmm_exactrb.mechanics.fit import ShapeWarning
 from openmm_exactrb.openmm_access.platforms import mixed, why_not_by_default
 from openmm_exactrb.runs import Run
 from openmm_exactrb.runs.signals import LostInterrupts
@@ -108,7 +110,9 @@ def _equilibrated(
     else:
         simulation.context.setPositions(box.positions)
     if not box.moves:
-        flexible = len(integrator.bodyState()[0].clusters) > 0  # only OpenMM's minimiser supports clusters
+        with warnings.catch_warnings():  # positions of a file need not match the constraints before the minimisation
+            warnings.simplefilter("ignore", ShapeWarning)
+            flexible = len(integrator.bodyState()[0].clusters) > 0  # only OpenMM's minimiser supports clusters
         if flexible and (why := why_not_by_default(platform.getName())):
             warn(f"{why}: use --platform CPU if this run ends without a message")
         minimise(integrator)

@@ -18,6 +18,7 @@ from openmm_exactrb.command.equilibration import candidates
 from openmm_exactrb.command.main import main
 from openmm_exactrb.command.setup import correct_pressure, couple, integrator_of, pace
 from openmm_exactrb.tuning import CANDIDATES, Choice
+from peptides import in_water
 from starts import context_of
 
 
@@ -250,6 +251,20 @@ def test_an_equilibration_is_told_before_it_begins_and_is_a_fifth_of_the_run(dro
             assert errors.splitlines()[0] == told
             longer = "--duration", 0.06, "--out", out, "--resume", "--quiet"  # no other start
             assert carry_out(capsys, *command, *longer)[0] == 0
+
+
+def test_positions_of_a_file_are_minimised_without_a_warning(tmp_path, capsys):
+    """Programs that add hydrogens place them at distances that differ from the constraints by up to 0.001 nm."""
+    topology, _, positions = in_water("HBonds")
+    hydrogens = [atom.element is app.element.hydrogen for atom in topology.atoms()]
+    positions[hydrogens] += 0.001 / np.sqrt(3.0)
+    with (tmp_path / "peptide.pdb").open("w") as file:
+        app.PDBFile.writeFile(topology, positions * unit.nanometer, file)
+    force_field = "--forcefield", "amber14-all.xml", "amber14/tip3p.xml", "--constraints", "HBonds"
+    run = "--step", "1fs", "--equilibrate", 0, "--duration", "1fs", "--platform", "Reference", "--out", tmp_path / "out"
+    status, _, errors = carry_out(capsys, "run", tmp_path / "peptide.pdb", *force_field, *run)
+    assert status == 0, errors
+    assert "shapes" not in errors
 
 
 @pytest.mark.validate
