@@ -13,6 +13,7 @@ from typing import Any
 import openmm
 from openmm import app
 
+from openmm_exactrb.averages import PressureOffset, pressure_offset
 from openmm_exactrb.command import analysis, arguments, equilibration, inputs, setup
 from openmm_exactrb.integrator import DEFAULT
 from openmm_exactrb.openmm_access.platforms import mixed, platform_of
@@ -119,12 +120,13 @@ def carry_out(args: argparse.Namespace) -> int:
             raise ValueError("--step and --force-interval exclude each other: omit one of these options")
         args.step = settled.step = args.force_interval * scheme.forces
     platform = platform_of(args.platform)
+    offset = None if args.pressure_offset is None else pressure_offset(args.pressure_offset)
     box = inputs.load(settled)
     inputs.check_idle(args, box, _idle(args, box))
     setup.couple(box.system, settled)
     with job.lock():
         equilibration.claim(job, settled, [*_reporters(settled), analysis.PICTURE])
-        _simulate(job, settled, box, platform)
+        _simulate(job, settled, box, platform, offset)
     return 0
 
 
@@ -151,13 +153,19 @@ def _idle(args: argparse.Namespace, box: inputs.Box) -> list[tuple[bool, str, st
     ]
 
 
-def _simulate(job: Run, args: argparse.Namespace, box: inputs.Box, platform: openmm.Platform) -> None:
+def _simulate(
+    job: Run,
+    args: argparse.Namespace,
+    box: inputs.Box,
+    platform: openmm.Platform,
+    offset: PressureOffset | None,
+) -> None:
     """Equilibrate the system, run the simulation, and print and draw the results."""
     start = equilibration.start_of(job, args, box, platform)
     options, step = equilibration.step_of(job, args, box, start, platform)
     setup.pace(box.system, step)
     integrator = setup.integrator_of(args, options, step)
-    setup.correct_pressure(box.system, args.pressure_offset, integrator, args.temperature)
+    setup.correct_pressure(box.system, offset, integrator, args.temperature)
     simulation = app.Simulation(box.topology, box.system, integrator, platform, mixed(platform))
     inputs.begin_at(simulation, start)
 

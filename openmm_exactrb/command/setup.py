@@ -9,7 +9,7 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_exactrb.averages import pressure_offset
+from openmm_exactrb.averages import PressureOffset
 from openmm_exactrb.command import arguments
 from openmm_exactrb.context.updates import UPDATES
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
@@ -54,19 +54,18 @@ def pace(system: openmm.System, step: float) -> None:
 
 
 def correct_pressure(
-    system: openmm.System, file: str | None, integrator: ExactRigidBodyIntegrator, temperature: float
+    system: openmm.System, offset: PressureOffset | None, integrator: ExactRigidBodyIntegrator, temperature: float
 ) -> None:
-    """Add the offset from a file to the barostat's pressure; raise ValueError if the file is for other settings."""
-    if file is None:
+    """Add an offset to the pressure of the barostat; raise ValueError if the offset is for other settings."""
+    if offset is None:
         return
-    offset = pressure_offset(file)
     scheme, step = integrator.getScheme().name, integrator.getStepSize().value_in_unit(unit.picosecond)
     theirs, own = (offset.scheme, offset.step, offset.temperature), (scheme, step, temperature)
     if theirs[0] != scheme or not np.allclose(theirs[1:], own[1:], rtol=1e-9):
         raise ValueError(
-            f"the pressure offset of {file} is for {theirs[0]} with a step of {theirs[1]:g} ps at {theirs[2]:g} K, "
-            f"but this run has {own[0]} with a step of {own[1]:g} ps at {own[2]:g} K: pass the averages.csv of a run "
-            "at constant volume with the same scheme, step and temperature as this run"
+            f"the file of --pressure-offset is for {theirs[0]} with a step of {theirs[1]:g} ps at {theirs[2]:g} K, but "
+            f"this run has {own[0]} with a step of {own[1]:g} ps at {own[2]:g} K: pass the averages.csv of a run at "
+            "constant volume with the same scheme, step and temperature as this run"
         )
     for force in system.getForces():
         if isinstance(force, openmm.MonteCarloBarostat):

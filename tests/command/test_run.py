@@ -318,9 +318,17 @@ def test_the_offset_of_averages_is_added_to_the_pressure_for_the_same_settings_a
     (_, system, _, _), langevin = box, rb.ExactRigidBodyLangevinIntegrator
     couple(system, Namespace(ensemble="npt", pressure=1.0, temperature=300.0, seed=7))
     correct_pressure(system, None, langevin(300.0, 5.0, 0.012, scheme="W2_3m"), 300.0)
-    correct_pressure(system, str(file), langevin(300.0, 5.0, 0.012, scheme="W2_3m"), 300.0)
+    correct_pressure(system, rb.pressure_offset(file), langevin(300.0, 5.0, 0.012, scheme="W2_3m"), 300.0)
     barostat = system.getForce(system.getNumForces() - 1)
     assert barostat.getDefaultPressure()._value == pytest.approx(1.0 - 9e-3 * 0.012**2 * 1e6)
     for step, kelvin, scheme in ((0.011, 300.0, "W2_3m"), (0.012, 310.0, "W2_3m"), (0.012, 300.0, "BAOA")):
         with pytest.raises(ValueError, match=r"W2_3m with a step of 0.012 ps at 300 K, but this run has"):
-            correct_pressure(system, str(file), langevin(kelvin, 5.0, step, scheme=scheme), kelvin)
+            correct_pressure(system, rb.pressure_offset(file), langevin(kelvin, 5.0, step, scheme=scheme), kelvin)
+
+
+def test_a_missing_file_of_the_offset_ends_the_command_before_the_equilibration(droplet, tmp_path, capsys):
+    command = "run", droplet, "--forcefield", "tip3p.xml", *SHORT, "--ensemble", "npt"
+    status, _, errors = carry_out(capsys, *command, "--pressure-offset", tmp_path / "no.csv", "--out", tmp_path / "out")
+    assert status == 2
+    assert "no.csv" in errors
+    assert not (tmp_path / "out").exists()
