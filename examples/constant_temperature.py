@@ -35,7 +35,7 @@ print(f"second half: translation {translational:.0f} K, rotation {rotational:.0f
 
 # %%
 # Both temperatures rise to 300 K together, because the thermostat acts on translation and on rotation. The temperature
-# of so few molecules fluctuates by a tenth.
+# of so few molecules has a standard deviation of 16 %.
 
 out = Path("out/constant_temperature")
 out.mkdir(parents=True, exist_ok=True)

@@ -6,7 +6,7 @@ The system is a box of Lennard-Jones spheres with point dipoles, whose periodic 
 momenta are redrawn every half picosecond, so that the run samples the canonical ensemble. The dielectric constant
 follows from the fluctuations of the total dipole moment. The picture shows its running estimate with the standard error
 from block averages, and the value that LAMMPS gives for the same state. ``--long-range "reaction field"`` truncates the
-dipole interactions instead, which is sufficient for weak dipoles (``--dipole2 1``).
+dipole interactions instead, which gives the same dielectric constant within errors for weak dipoles (``--dipole2 1``).
 
 With ``--core wca --density 0.05 --temperature 1``, the spheres only repel each other; this is a ferrofluid in a state
 for which values have been published. Its short chains rotate slowly, so use ``--duration 10000 --step 0.03``.

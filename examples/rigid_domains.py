@@ -205,8 +205,7 @@ def draw(x: np.ndarray, file: Path) -> None:
 
 
 # %%
-# An average of the radius of gyration requires a run that is a thousand times as long; the tutorial describes such a
-# run.
+# An average of the radius of gyration requires a run of hundreds of nanoseconds (see the tutorial).
 
 if __name__ == "__main__":
     main()

@@ -87,7 +87,7 @@ def run(args: argparse.Namespace) -> None:
 
 
 # %%
-# The kinetic energy fluctuates by tens of kJ/mol; the sum of kinetic and potential energy is constant.
+# The kinetic energy fluctuates by tens of kJ/mol; the standard deviation of the total energy is printed above.
 
 
 def draw(table: np.ndarray, file: Path) -> None:

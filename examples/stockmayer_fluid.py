@@ -2,8 +2,8 @@
 A Stockmayer fluid of a thousand dipoles
 ========================================
 
-Lennard-Jones spheres with a strong point dipole, mu² = 3, at density 0.822 and kT = 1.15, form a liquid whose
-dielectric constant is about that of water. The picture shows its structure:
+Lennard-Jones spheres with a strong point dipole, mu² = 3, at density 0.822 and kT = 1.15, form a strongly polar liquid.
+The picture shows its structure:
 
 - g(r), the density of spheres at a distance r, and
 - h110(r), three times the mean cosine of the angle between two dipoles, times g(r). In an infinite sample its integral

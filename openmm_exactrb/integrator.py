@@ -37,8 +37,8 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     Rigid bodies are the clusters of particles that the constraints of the System make rigid. Particles without
     constraints, and clusters that constraints do not make rigid, are integrated as well. After every call of
     ``step(n)``, the Context contains the new positions, velocities, time and step count. Changes made to the Context
-    between calls are taken into account. A scheme that begins and ends with a kick evaluates the forces again at the
-    start of each call. Within a call, no force is evaluated twice at the same positions.
+    between calls are taken into account. On the host, a scheme that begins and ends with a kick evaluates the forces
+    again at the start of each call. Within a call, no force is evaluated twice at the same positions.
 
     Parameters
     ----------
@@ -76,8 +76,8 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         is this interval times `forceEvaluationsPerStep`, so that schemes with equal intervals cost about the same.
     checkDivergence : bool, optional
         Whether to raise an error if the total energy jumps. Pass False if your own forces or substeps do work, as in
-        active matter. The total energy is also not checked if the System has a PythonForce or a force of a plugin,
-        because these forces may do work. Non-finite numbers always raise an error.
+        active matter. The total energy is also not checked if the System has a PythonForce from outside this package or
+        a force of a plugin, because these forces may do work. Non-finite numbers always raise an error.
 
     Raises
     ------
@@ -106,7 +106,9 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     ) -> None:
         check_first_arguments(stepSize, scheme)
         if thermostat is not None and not isinstance(thermostat, Thermostat):
-            raise ValueError(f"thermostat must be one of openmm_exactrb.thermostats, not {type(thermostat).__name__}")
+            raise ValueError(
+                f"thermostat must be a Thermostat such as Langevin(300, 1), not {type(thermostat).__name__}"
+            )
         self._fast = MultipleTimeSteps.of(fast, inner, innerSteps)
         self._thermostat = thermostat
         if scheme is None:
@@ -145,7 +147,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         return copy.deepcopy(self._bodies)
 
     def getMultipleTimeSteps(self) -> MultipleTimeSteps | None:
-        """Return the settings of inner steps, or None without inner steps."""
+        """Return the settings of inner steps, or None if ``fast=None``."""
         return self._fast
 
     @property
@@ -240,9 +242,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
             If the argument is not a Context, or has another integrator.
         """
         if not isinstance(context, openmm.Context):
-            raise ValueError(
-                f"bind() takes an openmm.Context, such as simulation.context, not {type(context).__name__}"
-            )
+            raise ValueError(f"bind() takes a Context such as simulation.context, not {type(context).__name__}")
         if context.getIntegrator() is not self and getattr(context, "_integrator", None) is not self:
             raise ValueError("this Context belongs to another integrator: call bind() on that integrator")
         self._context, self._propagator = weakref.ref(context), None
@@ -299,8 +299,10 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
 
     def _step_of(self, size: float | unit.Quantity | None, interval: float | unit.Quantity | None) -> float:
         """Return the step size in ps, from the step size or from the interval between force evaluations."""
-        if (size is None) == (interval is None):
-            raise ValueError("stepSize or forceInterval (the time between force evaluations) must be set, not both")
+        if size is not None and interval is not None:
+            raise ValueError("stepSize= and forceInterval= exclude each other: omit one of these arguments")
+        if size is None and interval is None:
+            raise ValueError("stepSize= is missing: pass it, or forceInterval=, the time between force evaluations")
         if interval is None:
             return picoseconds(size)
         if not self.forceEvaluationsPerStep:

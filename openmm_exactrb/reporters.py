@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import reprlib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, TextIO
@@ -19,6 +18,7 @@ from openmm_exactrb.mechanics.links import Links
 from openmm_exactrb.openmm_access.molecules import molecule_of
 from openmm_exactrb.openmm_access.units import stripped
 from openmm_exactrb.support import checks
+from openmm_exactrb.support.messages import shown
 from openmm_exactrb.support.types import Array
 
 # Largest net charge (e) of a molecule that counts as neutral, because force fields round charges.
@@ -45,7 +45,7 @@ class _Lines:
         elif hasattr(file, "write"):
             self._out = file
         else:
-            raise ValueError(f"file must be a path or an open text file, not {file!r}")
+            raise ValueError(f"file must be a path or an open text file, not {shown(file)}")
         if not append or (self._owned and self._out.tell() == 0):
             self._out.write(",".join(columns) + "\n")
 
@@ -180,7 +180,7 @@ def _elementary(charges: Any) -> Array:
     asked = "a list of numbers or Quantities of charge, one for each particle"
     values = checks.array(given, "charges", asked).copy()
     if values.ndim != 1:
-        raise ValueError(f"charges must be {asked}, not {reprlib.repr(charges)}")
+        raise ValueError(f"charges must be {asked}, not {shown(charges)}")
     if not np.isfinite(values).all():
         first = int(np.flatnonzero(~np.isfinite(values))[0])
         raise ValueError(f"charges must be finite numbers, but the charge of particle {first} is {values[first]}")

@@ -15,9 +15,9 @@ from openmm_exactrb.openmm_access import arrays
 def loadState(target: app.Simulation | openmm.Context, source: str | os.PathLike[str] | openmm.State) -> None:
     """Load a State that was saved with another integrator.
 
-    OpenMM's ``simulation.loadState(file)`` and ``context.setState(state)`` fail with "Unknown property 'version'" if
-    the new integrator is a CustomIntegrator and the old one is not. This function loads such a State without the error.
-    To load a State of a CustomIntegrator into another integrator, use ``simulation.loadState``.
+    A State contains data of its integrator. OpenMM's ``simulation.loadState(file)`` and ``context.setState(state)``
+    fail if the new integrator cannot read these data, for example with "Unknown property 'version'" if only the new
+    integrator is a CustomIntegrator, as those of this package are. This function ignores these data.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def read_xml(file: str | os.PathLike[str], kind: type[Any], writer: str = "openm
         ) from None
     if not isinstance(content, kind):
         raise ValueError(
-            f"{file} contains an object of type {type(content).__name__}, not {kind.__name__}: pass a file of a "
-            f"{kind.__name__}"
+            f"{file} contains an object of type {type(content).__name__}, not {kind.__name__}: pass a file that "
+            f"contains a {kind.__name__}"
         )
     return content

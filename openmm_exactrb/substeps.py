@@ -261,7 +261,7 @@ def of_symbol(symbol: str) -> Substep:
     """Return the substep of a symbol: drift "A", kick "B", kick by force group 3 "B3", or heat exchange "O"."""
     found = {str(substep): substep for substep in (DRIFT, KICK, HEAT_EXCHANGE)}.get(symbol)
     group = re.fullmatch(r"B(\d+)", symbol)
-    if group:
+    if group and int(group[1]) < 32:
         found = Kick(int(group[1]))
     if found is None:
         raise ValueError(

@@ -99,7 +99,7 @@ class Thermostat(ABC):
             same = P is along.P and m is along.m
             after = state if same else tangent(state._replace(P=P, m=m))
             if heat is not None and not same:
-                numbers.present[heat] += _gain(bodies, along, after)
+                numbers.present[heat] += kinetic_gain(bodies, along, after)
             outside(state, after)
             environment.last_exchange = state, after
             return after
@@ -126,7 +126,7 @@ class Thermostat(ABC):
         return None
 
 
-def _gain(bodies: RigidBodies, before: State, after: State) -> float:
+def kinetic_gain(bodies: RigidBodies, before: State, after: State) -> float:
     """Return the kinetic energy (kJ/mol) gained by the bodies, from momenta projected onto the constraints."""
     gains = (
         np.sum((b[0] - a[0]) * (b[0] + a[0]) / (2.0 * inertia))

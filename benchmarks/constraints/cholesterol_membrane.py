@@ -6,11 +6,12 @@ temperatures (doi:10.1021/acs.jpcb.1c03665, doi:10.1021/acs.jctc.2c01032). The s
 constant temperature and with a MonteCarloMembraneBarostat, with OpenMM's LangevinMiddleIntegrator, without and with the
 dummy torsions of OpenMM's issue 3603.
 
-The rows of LINCS quote the results of doi:10.1021/acs.jpcb.1c03665. Runs of DPPC alone (--composition DPPC) measure the
-area per lipid and the order parameter, which are known from experiments.
+The rows of LINCS quote the results of doi:10.1021/acs.jpcb.1c03665. Runs of DPPC alone (--composition DPPC --per-side
+6) measure the area per lipid and the order parameter, which are known from experiments.
 
-Samples are written every 0.12 ps to out/benchmarks/cholesterol_membrane/METHOD-STEP.csv, next to checkpoints, so that
-the same command resumes an interrupted run. --table prints the averages of these files and writes docs/cholesterol.csv.
+Samples are written every 0.12 ps to CSV files in out/benchmarks/cholesterol_membrane, next to checkpoints, so that the
+same command resumes an interrupted run. --table prints the averages of these files and writes docs/cholesterol.csv or
+docs/dppc.csv.
 """
 
 from __future__ import annotations

@@ -9,8 +9,9 @@ The script first runs the tests of the device on the platform. It then measures 
 integrators alternate. Integrators of this package run on the device, or on both engines with --engines device host.
 Rows are written to the CSV file after each system, so that an interrupted run keeps its results. "ms" is the median
 time of a force evaluation. "ratio" is relative to VerletIntegrator, or to LangevinMiddleIntegrator for integrators with
-a thermostat. "ns/day" assumes 1 fs between force evaluations of water. Proteins have hydrogens of 3 amu, and 4 fs with
-LangevinMiddleIntegrator and BAOA, 8 fs with W2_3m. "first s" is the time of the first steps in seconds.
+a thermostat. "ns/day" assumes 1 fs between force evaluations of water, and 5 fs for dipoles. Proteins have hydrogens of
+3 amu, and 4 fs with LangevinMiddleIntegrator and BAOA, 8 fs with W2_3m. "first s" is the time of the first steps in
+seconds.
 
 Villin is OpenMM's test.pdb, DHFR that of openmmtools (omitted if openmmtools is not installed). The membrane is the
 patch of 128 POPC in water that Modeller.addMembrane replicates, with charmm36. --proteins also accepts PDB files, which

@@ -219,7 +219,7 @@ def smallest_rotation(x):
 
 @compiled
 def moser_veselov_flow(moments, s_terms, d_terms, q, m, t):
-    """Advance bodies as the flow of `moser_veselov.rotor`; those that it reports become nan."""
+    """Advance bodies as the flow of `moser_veselov.rotor`; nan where it does not converge. Angles are not checked."""
     q1, m1 = np.empty_like(q), np.empty_like(m)
     for n in range(m.shape[1]):
         I, u = (moments[0, n], moments[1, n], moments[2, n]), (m[0, n], m[1, n], m[2, n])

@@ -1,11 +1,11 @@
 """Figure 1: precision and cost of all methods on [0, 10], over twenty step sizes, for 100 random bodies.
 
 The figure compares exact methods with approximations by Gauss's rule and with Moser-Veselov methods (`dmv`). The
-verdicts are based on ten draws of 100 bodies. Costs in the picture and in the claims are processor times of compiled
+verdicts are based on ten draws of 100 bodies. Costs in the picture and in the criteria are processor times of compiled
 code, because the programs of the paper are in Fortran. The compiled methods loop over the bodies and agree to roundoff
 with the same methods in numpy. The paper draws random inertias and does not state whether I1 + I2 >= I3 holds. Our
 inertias satisfy this condition, as do those of every real body. Only the numbers of converged runs are also given for
-inertias that do not satisfy this condition.
+random inertias without this condition.
 """
 
 import sys
@@ -237,7 +237,7 @@ def cost(data):
     yield Claim(
         "With Gauss's rule the cost is about a third of that with the exact elliptic integral.",
         f"{span(medians)} compiled, {span(in_numpy)} in numpy (medians over the steps). The paper counts three integrals of "
-        "the third kind per step. Our code computes two, and the complete integral only beyond half a period. In the "
+        "the third kind per step. Our code computes two, and the complete integral only beyond a quarter period. In the "
         "authors' own Fortran (ACM TOMS Algorithm 903, built for this comparison), Gauss's rule takes 1.1 µs per body instead "
         "of 2.3 µs, about half.",
         (

@@ -1,13 +1,13 @@
 """Figure 17 of the paper: 125 soft dipolar spheres, averages of the energy error over 100 starts.
 
 The methods are V2, SRKN4_6b and S6_10, each with the exact rotor and with McLachlan-Reich, over T = 1. The step sizes
-of S6_10 are 1, 1/2, 1/4 and 1/8. Those of the other schemes divide T and need nearly the same numbers of force
-evaluations. The abscissa is the number of force evaluations, which is proportional to the paper's computational time
-and does not depend on the machine.
+of S6_10 are 1, 1/2, 1/4 and 1/8. Those of the other schemes divide T and need similar numbers of force evaluations (see
+the table). The abscissa is the number of force evaluations, which is proportional to the paper's computational time and
+does not depend on the machine.
 
-The paper gives neither its energies, nor the lattice constant, nor the directions of the momenta of the two corner
+The paper states neither its energies, nor the lattice constant, nor the directions of the momenta of the two corner
 particles. Here the lattice constant is 3, and the momenta are opposite and point outward along the diagonal. The
-energies are 4 (a little above the largest potential energy of the 100 starts, 3.18), 20, 100 and 1000. The positions in
+energies are 4 (above the largest potential energy of the 100 starts, 3.18), 20, 100 and 1000. The positions in
 the paper (q_1 = [1, 1, 1], q_125 = [5, 5, 5], sigma = 1) imply a lattice constant of 1. The mean potential energy is
 then 1245, the spheres fly apart, and with the two largest steps the energy grows by at least eight orders of magnitude
 with every method (options `--spacing 1 --energies 1400 2000 5000 20000 --starts 3`).
@@ -33,8 +33,9 @@ from openmm_exactrb import ensemble
 NAME = "figure17"
 TITLE = "Figure 17: dipoles at different energies, 100 starts"
 PICTURES = {
-    "figure17": "Four panels, one for each energy. At H0 = 4 the lines with McLachlan-Reich flatten and end two powers of ten "
-    "above those with the exact rotor. At H0 = 20 the lines separate at the last step, and at 100 and 1000 they coincide."
+    "figure17": "Four panels, one for each energy. At H0 = 4 the lines of SRKN4_6b and S6_10 with McLachlan-Reich flatten and "
+    "end two powers of ten above those with the exact rotor. At H0 = 20 they separate at the shortest steps, and at 100 and "
+    "1000 they coincide."
 }
 OUT = Path("out/paper")
 N = 125

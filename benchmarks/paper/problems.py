@@ -130,8 +130,8 @@ class HeavyTop:
     def random(cls, rng: np.random.Generator, epsilon: float, T0: float, n: int) -> tuple[HeavyTop, TopState]:
         """Draw n tops as section 3.3.1 does: I1 = 1, kinetic energy T0, random u0, attitude (1, 0, 0, 0).
 
-        The moments I1 < I2 < I3 <= I1 + I2 are those of physical bodies; two components of m are drawn so that the
-        third is real.
+        The moments I1 < I2 < I3 <= I1 + I2 are those of physical bodies; the kinetic energy is divided at random among
+        the components of m.
         """
         I2 = rng.uniform(1.0, 3.0, n)
         inertia = np.stack([np.ones(n), I2, I2 + rng.uniform(0.0, 1.0, n)])

@@ -3,8 +3,8 @@
 The table shows the error and the cost of the exact methods for one long step. The reference is a Taylor series in
 double-double precision, whereas the paper used Matlab's ode45. The verdicts are based on ten draws of 100 bodies. The
 picture and the table show methods in numpy, except for one line of the table, which is marked as compiled and not used
-for any claim. The fraction of time spent in the integrals of the third kind is that of the compiled methods, since the
-paper's programs are in Fortran.
+for any claim. The verdict on the integrals of the third kind is based on compiled methods, since the paper's programs
+are in Fortran.
 """
 
 import sys

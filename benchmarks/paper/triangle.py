@@ -31,8 +31,8 @@ PICTURES = {
     "side of symmetric bodies; dmv6 has 2 to 5 digits everywhere.",
     "figure06": "Order 8, h = 0.4: the methods with Gauss's rule have 14 digits in the right third of the triangle and few at "
     "the thin rod; dmv8 has 4 to 8 digits.",
-    "figure07": "Order 10, h = 0.4: the methods with Gauss's rule have 14 digits in the right half of the triangle and few at "
-    "the thin rod; dmv10 has 5 to 11 digits.",
+    "figure07": "Order 10, h = 0.4: the methods with Gauss's rule have 13 to 14 digits in the right half of the triangle and "
+    "few at the thin rod; dmv10 has 5 to 11 digits.",
     "figure08": "Both exact methods, h = 0.04: 13 to 14 digits, slightly fewer on the left than on the right.",
     "figure09": "Order 6, h = 0.04: the methods with Gauss's rule have 14 digits in the right half and lose them towards the "
     "thin rod, quaternion_gauss6 most; dmv6 rises from 3 digits there to 11 at the sphere.",

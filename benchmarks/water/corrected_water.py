@@ -1,4 +1,4 @@
-"""Averages of liquid water at steps of 0.5 to 6 fs, without and with the correction for the step size.
+"""Averages of liquid water at 0.5 to 6 fs per force evaluation, without and with the correction for the step size.
 
 The averages are those of docs/equipartition.csv, over 1 ns per point with a friction of 5/ps. To second order, a
 correction consists of equilibrium averages, which are the same for all schemes and steps, and of coefficients of the

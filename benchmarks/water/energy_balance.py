@@ -1,8 +1,8 @@
 """Conserved quantities at constant temperature: the total energy at the end of a step, and the energy balance.
 
 A droplet of 27 rigid TIP3P molecules runs for 0.4 ps from one state at 300 K, weakly coupled to the thermostat, at
-three step sizes. The script prints the standard deviations, in kJ/mol, of the sum of kinetic and potential energy and
-of the energy balance, which is `effectiveEnergy` or `conservedEnergy`.
+three step sizes. The script writes to docs/energy_balance.csv the standard deviations, in kJ/mol, of the sum of kinetic
+and potential energy and of the energy balance, which is `effectiveEnergy` or `conservedEnergy`.
 
     python benchmarks/water/energy_balance.py
 """

@@ -1,8 +1,8 @@
 """Rigid water at constant temperature: the effect of the step size on equipartition, energy and density.
 
 With SETTLE and leapfrog, rigid water deviates from equipartition at every step above 0.5 fs: D. Asthagiri and T. L.
-Beck, arXiv:2308.08383. Here OpenMM's LangevinMiddleIntegrator, rigid-body BAOAB, W2_3m and W2_4g simulate the same
-water with the same time between force evaluations. Optionally, hybrid Monte Carlo is added, which has no step-size
+Beck, arXiv:2308.08383. Here OpenMM's LangevinMiddleIntegrator, rigid-body BAOAB and BAOA, W2_3m and W2_4g simulate the
+same water with the same time between force evaluations. Optionally, hybrid Monte Carlo is added, which has no step-size
 error (--methods hybrid --intervals 4). The results are T_rot - T_tr, the potential energy and, at constant pressure,
 the density, each with its error. NoseHoover is OpenMM's NoseHooverIntegrator, and NoseHoover/W2_3m the chains of this
 package with that scheme.
@@ -12,7 +12,7 @@ which leaves only the linear and angular momentum of each molecule.
 
 A point consists of several runs with different seeds. Each run is a job of an ensemble and a row of the record
 docs/equipartition.csv. Runs in the record are not repeated, so that the study can continue on another machine. Errors
-are those of the mean of independent runs. The whole study, 1 ns per point of 216 molecules, takes 69 million force
+are those of the mean of independent runs. The default study, 1 ns per point of 216 molecules, takes 86 million force
 evaluations; --models, --ensembles, --methods, --intervals and --runs select a part of it. Several commands run fastest
 with one core and one worker each: taskset -c 0.
 """

@@ -2,8 +2,8 @@
 
 216 molecules of each model run on the CPU platform, whose forces have single precision. A switch before the cutoff and
 a tight Ewald tolerance make the errors of the forces small compared with those of the integrator; --loose uses the
-defaults of createSystem instead. Each run has a separate start, drawn from the canonical distribution with
-LangevinMiddleIntegrator and a different seed. A run is a job of an ensemble, so that an interrupted command can be
+defaults of createSystem instead. Each seed has a separate start, which all methods share, drawn from the canonical
+distribution with LangevinMiddleIntegrator. A run is a job of an ensemble, so that an interrupted command can be
 resumed. Results are written to out/water_boxes: a table (CSV) and `energy.png`, the energy of the first model over
 time.
 """

@@ -61,8 +61,8 @@ class Chords:
             if len(own) > _LARGEST:
                 raise ValueError(
                     f"averages of LangevinMiddleIntegrator cannot be corrected, because {len(own)} constraints join "
-                    f"the particles of one molecule, but at most {_LARGEST} are supported: constrain only bonds to "
-                    "hydrogen (HBonds), or use ExactRigidBodyLangevinIntegrator"
+                    f"the particles of one molecule, but at most {_LARGEST} are supported: create the System with "
+                    "constraints=HBonds, or use ExactRigidBodyLangevinIntegrator"
                 )
             differences = np.eye(len(masses))[own[:, 0]] - np.eye(len(masses))[own[:, 1]]
             held = _Held(particles[:, own], differences / masses @ differences.T)

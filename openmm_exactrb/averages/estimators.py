@@ -49,10 +49,7 @@ def named(settings: Settings, name: str) -> Callable[[Columns], Estimate]:
 
     def estimate(columns: Columns) -> Estimate:
         if needs not in columns:
-            raise ValueError(
-                f"the file contains no column {needs!r}, which the {name} needs: repeat the run with an "
-                "AverageReporter that has pressure=True"
-            )
+            raise ValueError(f"the file contains no {needs}s: repeat the run with AverageReporter(..., pressure=True)")
         return of(settings, columns)
 
     return estimate

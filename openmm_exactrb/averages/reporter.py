@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import reprlib
 import weakref
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -21,19 +20,20 @@ from openmm_exactrb.context.updates import BAROSTATS, acting_updates
 from openmm_exactrb.openmm_access.units import gas_constant_times, plain
 from openmm_exactrb.support import checks
 from openmm_exactrb.support.files import written_whole
+from openmm_exactrb.support.messages import shown
 from openmm_exactrb.support.stable_text import digest
 
 
 class AverageReporter:
     """Write the data for `corrected` and `pressure_offset` to a CSV file, with all digits.
 
-    Unless pressure is requested, a report uses only the forces that the Simulation evaluates for this report.
+    Without pressure, a report uses only the forces that the Simulation evaluates for this report, and fast forces.
 
     Parameters
     ----------
     file : str or path
     reportInterval : int
-        Number of steps between two frames. In water, frames 0.1 ps apart are nearly independent.
+        Number of steps between two frames. Error estimates account for correlations between frames.
     pressure : bool, optional
         Whether to store the molecular pressure and its slope, which costs two more evaluations of energy and forces per
         frame. Corrections at constant pressure and `pressure_offset` need this pressure.
@@ -41,10 +41,10 @@ class AverageReporter:
         Functions that return a number for the positions, an array (n_particles, 3) in nm with whole molecules. These
         functions are also evaluated at displaced positions, to compute the slopes that the corrections need.
     around : (sequence of int, float), optional
-        Particles, such as those of a solute, and a distance in nm (or a Quantity). The reporter then also stores the
-        curvature of the potential of only those bodies that are within this distance of the particles. For observables
-        that depend only on the particles, the statistical error of corrections is then smaller: see the argument
-        ``local`` of `corrected`.
+        Particles, such as those of a solute, and a distance in nm (or a Quantity). The reporter then also stores S,
+        the sum of f_s·M⁻¹f_s, of only those bodies that are within this distance of the particles. For observables that
+        depend only on the particles, the statistical error of corrections is then smaller: see the argument ``local``
+        of `corrected`.
     append : bool, optional
         Whether to continue an existing file of a run with the same settings. Frames after the step at which the run
         continues, such as those after the last checkpoint of a killed run, are removed.
@@ -116,7 +116,7 @@ class AverageReporter:
         dynamics = self._dynamics = dynamics_of(simulation)
         if self._around is not None and max(self._around[0]) >= simulation.system.getNumParticles():
             raise ValueError(
-                f"the particles of around must be numbers from 0 to {simulation.system.getNumParticles() - 1}, not "
+                f"the particles of around= must be numbers from 0 to {simulation.system.getNumParticles() - 1}, not "
                 f"{max(self._around[0])}: choose particles of the System"
             )
         frames = Frames(simulation, dynamics, self._pressure, self._around)
@@ -185,17 +185,17 @@ def _named(observables: Any) -> dict[str, Observable]:
     if observables is None:
         return {}
     if not isinstance(observables, Mapping):
-        raise ValueError(f"{asked}, not {reprlib.repr(observables)}")
+        raise ValueError(f"{asked}, not {shown(observables)}")
     for name, observable in observables.items():
         if not isinstance(name, str) or not callable(observable):
-            raise ValueError(f"{asked}, not a mapping that contains {reprlib.repr(name)}: {reprlib.repr(observable)}")
+            raise ValueError(f"{asked}, not a mapping that contains {shown(name)}: {shown(observable)}")
     columns = [*COLUMNS, *(column for name in observables for column in of_observable(name))]
     for name in observables:
         plain_text = name.isprintable() and name == name.strip() != "" and not set(name) & set(',("')
         if name in READY or not plain_text or any(columns.count(column) > 1 for column in of_observable(name)):
             raise ValueError(
-                f"an observable cannot have the name {name!r}: choose a name that is not that of a column, nor one of "
-                f"{', '.join(READY)}, and that contains no commas, brackets or quotation marks"
+                f"an observable cannot have the name {name!r}: choose a name without commas, brackets, quotation marks "
+                f"and outer spaces that is neither a column of the file nor one of {', '.join(READY)}"
             )
     return dict(observables)
 
@@ -205,7 +205,7 @@ def _around(around: Any) -> tuple[list[int], float]:
     if not isinstance(around, Sequence) or len(around) != 2:
         raise ValueError(
             "around= must be a tuple of particle indices and a distance in nm, such as ([0, 1, 2], 0.5), not "
-            f"{reprlib.repr(around)}"
+            f"{shown(around)}"
         )
     try:
         (particles,) = checks.lists_of_indices([around[0]], "around")
@@ -213,10 +213,9 @@ def _around(around: Any) -> tuple[list[int], float]:
         particles = []
     if not particles or min(particles) < 0:
         raise ValueError(
-            "the particles of around= must be a list of indices of particles, such as [0, 1, 2], not "
-            f"{reprlib.repr(around[0])}"
+            f"the particles of around= must be a list of particle indices, such as [0, 1, 2], not {shown(around[0])}"
         )
-    distance = checks.positive(plain(around[1], unit.nanometer, "a distance"), "the distance of around", of="nm")
+    distance = checks.positive(plain(around[1], unit.nanometer, "a distance"), "the distance of around=", of="nm")
     return particles, distance
 
 

@@ -54,6 +54,7 @@ positive = _option(float, lambda value: value > 0.0, "a positive number")
 count = _option(int, lambda value: value >= 1, "a whole number of at least 1")
 seed = _option(int, lambda value: 1 <= value <= _LARGEST, f"a whole number from 1 to {_LARGEST}")
 time = _option(_picoseconds, lambda value: value > 0.0, f"a positive time {_UNITS}")
+_time_with_unit = _option(_picoseconds, lambda value: value > 0.0, "a positive time with a unit, such as 4fs")
 time_or_zero = _option(_picoseconds, lambda value: value >= 0.0, f"a time of at least 0 {_UNITS}")
 
 
@@ -64,7 +65,7 @@ def flag(name: str) -> str:
 
 def time_with_unit(text: str) -> float:
     """Convert text with a unit to a positive time in ps."""
-    value = float(time(text))
+    value = float(_time_with_unit(text))
     if not text.strip()[-1].isalpha():
         raise argparse.ArgumentTypeError(
             f"{text!r} has no unit: write {text}fs for femtoseconds, or {text}ps for picoseconds"

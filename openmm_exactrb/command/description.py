@@ -12,6 +12,7 @@ import numpy as np
 import openmm
 from numpy.typing import NDArray
 from openmm import app, unit
+from openmm.app.internal.unitcell import computeLengthsAndAngles
 
 from openmm_exactrb.context.updates import UPDATES
 from openmm_exactrb.detection.find import find_bodies
@@ -106,8 +107,11 @@ def _particles(system: openmm.System) -> Iterator[str]:
     parts.append(f"{system.getNumConstraints()} constraints")
     yield ", ".join(parts)
     if system.usesPeriodicBoundaryConditions():
-        edges = (vector[k]._value for k, vector in enumerate(system.getDefaultPeriodicBoxVectors()))
-        yield f"periodic box, {' x '.join(f'{edge:.4g}' for edge in edges)} nm"
+        vectors = [vector.value_in_unit(unit.nanometer) for vector in system.getDefaultPeriodicBoxVectors()]
+        *edges, alpha, beta, gamma = computeLengthsAndAngles(vectors)
+        angles = [f"{math.degrees(angle):.4g}" for angle in (alpha, beta, gamma)]
+        slanted = f", angles {', '.join(angles)} degrees" if angles != ["90"] * 3 else ""
+        yield f"periodic box, {' x '.join(f'{edge:.4g}' for edge in edges)} nm{slanted}"
 
 
 def _bodies(bodies: RigidBodies, names: _Names) -> Iterator[str]:
@@ -164,7 +168,7 @@ def _periods(system: openmm.System, names: _Names) -> Iterator[str]:
 
 
 def _advice(system: openmm.System, bodies: RigidBodies) -> Iterator[str]:
-    """Yield settings for runs at constant energy and at constant temperature if the System contains rigid water."""
+    """Yield the recommended settings, or a line without settings if the System contains no rigid water."""
     if not any(len(kind.masses) == 3 and abs(kind.mass - _WATER) < 0.1 for kind in bodies.kinds):
         yield "step: not measured for such molecules; exactrb tune finds one"
         return

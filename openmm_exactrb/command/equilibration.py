@@ -24,6 +24,7 @@ from openmm_exactrb.support.warn import warn
 from openmm_exactrb.thermostats import ExactRigidBodyLangevinIntegrator
 from openmm_exactrb.tuning.advice import CANDIDATES, progress, tune
 from openmm_exactrb.tuning.preparation import heat, minimise
+from openmm_exactrb.tuning.result import UnreachableError
 
 #: Files in the folder of a run that contain the initial State, and the tuned scheme and step.
 START, STEP = "start.xml", "step.json"
@@ -75,11 +76,16 @@ def step_of(
     report = None if args.quiet else progress
     options = {"target": args.target, "schemes": candidates(args), "budget": args.budget}
     result = tune(box.system, start, platform=platform, report=report, **options)
-    if result.chosen is None:
-        raise ValueError(f"{str(result).splitlines()[-1].rstrip('.')}: use a larger --target, or set --step")
+    try:
+        choice = result.best()
+    except UnreachableError as error:
+        why = f"{str(error)[0].upper()}{str(error)[1:]}"
+        raise ValueError(
+            f"--step auto found no suitable step: use a larger --target or --budget, or set --step. {why}"
+        ) from None
     if not args.quiet:
-        print(result.chosen, file=sys.stderr)
-    options, step = result.chosen.options(), result.chosen.step
+        print(choice, file=sys.stderr)
+    options, step = choice.options(), choice.step
     _store(job, STEP, json.dumps({**options, "step": step}))
     return options, step
 

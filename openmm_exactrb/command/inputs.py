@@ -17,6 +17,7 @@ import openmm
 from openmm import app, unit
 
 from openmm_exactrb.command import arguments
+from openmm_exactrb.command.topology import topology_of
 from openmm_exactrb.states import loadState, read_xml
 from openmm_exactrb.systems.fluids import rigid_water
 from openmm_exactrb.systems.masses import heavy_hydrogens
@@ -40,7 +41,7 @@ _AMBER = app.AmberInpcrdFile, app.AmberPrmtopFile, attrgetter("boxVectors")
 _GROMACS = app.GromacsGroFile, app.GromacsTopFile, methodcaller("getPeriodicBoxVectors")
 _POSITIONS: dict[str, tuple[Any, Any, Callable[[Any], Any]]]
 _POSITIONS = {".gro": _GROMACS, ".inpcrd": _AMBER, ".rst7": _AMBER, ".crd": _AMBER}
-_SWITCH = 0.1 * unit.nanometer  # width of the switching function, which prevents heating by a jump of the force
+_SWITCH = 0.1 * unit.nanometer  # width of the switching function, without which the energy jumps at the cutoff
 
 
 @dataclass(frozen=True)
@@ -115,10 +116,10 @@ def check_idle(args: argparse.Namespace, box: Box, others: Iterable[tuple[bool, 
 
 
 def load(args: argparse.Namespace) -> Box:
-    """Return the molecules that the options of ``exactrb run`` describe; raise ValueError if they are inconsistent."""
+    """Return the molecules that the options describe; raise ValueError if the options are inconsistent."""
     if not args.files and not args.solvate:
         raise ValueError(
-            f"exactrb {args.command} needs molecules: pass {FILES}, or --solvate 216 for a box of 216 water molecules"
+            f"molecules are missing: pass {FILES}, or --solvate 216 --forcefield tip4pew.xml for 216 water molecules"
         )
     for file in args.files:
         if not file.exists():
@@ -130,12 +131,13 @@ def load(args: argparse.Namespace) -> Box:
         return _with_topology(args, *sorted(args.files, key=lambda file: file.suffix.lower() in _POSITIONS))
     if len(kinds) > 1 or not all(kind in _READERS for kind in kinds):
         raise ValueError(
-            f"exactrb cannot read molecules from {' '.join(map(str, args.files))}: pass {FILES}, or use --solvate "
-            "without a file"
+            f"molecules cannot be read from {' '.join(map(str, args.files))}: pass {FILES}, or use --solvate without "
+            "a file"
         )
     if not args.forcefield:
         what = f"{args.files[0]} contains no force field" if kinds else "--solvate needs a force field"
-        raise ValueError(f"{what}: add --forcefield and its files, such as --forcefield tip4pew.xml")
+        such = "amber14-all.xml amber14/tip4pew.xml" if kinds else "tip4pew.xml"
+        raise ValueError(f"{what}: add --forcefield and its files, such as --forcefield {such}")
     force_field = _understood("the force field", app.ForceField, *args.forcefield)
     modeller = _read(args, force_field) if kinds else _water_box(args)
     modeller.addExtraParticles(force_field)
@@ -147,8 +149,8 @@ def load(args: argparse.Namespace) -> Box:
 def _serialised(args: argparse.Namespace) -> Box:
     if args.forcefield or args.solvate:
         raise ValueError(
-            f"--forcefield and --solvate do not apply to {args.files[0]}, which already contains the solvent and the "
-            "forces: omit both options"
+            f"neither --forcefield nor --solvate applies to {args.files[0]}, which already contains the solvent and "
+            "the forces: omit them"
         )
     if args.hydrogen_mass is not None:
         raise ValueError(
@@ -164,6 +166,8 @@ def _serialised(args: argparse.Namespace) -> Box:
             f"the numbers of particles in {args.files[1]} ({len(positions)}) and in {args.files[0]} "
             f"({system.getNumParticles()}) differ: pass files of the same run"
         )
+    if system.usesPeriodicBoundaryConditions():
+        system.setDefaultPeriodicBoxVectors(*state.getPeriodicBoxVectors())
     return Box(topology_of(system, state), system, positions, state)
 
 
@@ -171,8 +175,8 @@ def _with_topology(args: argparse.Namespace, topology: Path, places: Path) -> Bo
     """Return the molecules of an Amber or GROMACS topology, which also defines the forces."""
     if args.forcefield or args.solvate:
         raise ValueError(
-            f"--forcefield and --solvate do not apply to {topology}, which already contains the solvent and the "
-            "forces: omit both options"
+            f"neither --forcefield nor --solvate applies to {topology}, which already contains the solvent and the "
+            "forces: omit them"
         )
     read_start, read_topology, box_of = _POSITIONS[places.suffix.lower()]
     start: Any = _understood(str(places), read_start, str(places))
@@ -225,7 +229,7 @@ def _water(args: argparse.Namespace) -> str:
     named = [model for model in WATERS for file in args.forcefield if model in Path(file).stem]
     if not named:
         raise ValueError(
-            "no force field file is named after a water model, which --solvate needs: add --water with one of "
+            "--solvate needs a water model, but no force field file is named after one: add --water with one of "
             f"{', '.join(WATERS)}"
         )
     return named[0]
@@ -268,7 +272,9 @@ def _understood(what: str, function: Callable[..., Any], *arguments: Any, **opti
     except OSError:
         raise
     except LookupError as error:  # whose text says nothing about the file
-        raise ValueError(f"{what} cannot be used: it is incomplete, or has another format than its name") from error
+        raise ValueError(
+            f"{what} is incomplete, or has another format than its name states: pass a complete file"
+        ) from error
     except Exception as error:
         raise ValueError(f"{what} cannot be used: {' '.join(str(error).split())}") from error
 
@@ -281,32 +287,3 @@ def begin_at(simulation: app.Simulation, state: openmm.State) -> None:
             pressure, temperature = force.getDefaultPressure(), force.getDefaultTemperature()
             simulation.context.setParameter(force.Pressure(), pressure.value_in_unit(unit.bar))
             simulation.context.setParameter(force.Temperature(), temperature.value_in_unit(unit.kelvin))
-
-
-def topology_of(system: openmm.System, state: openmm.State) -> app.Topology:
-    """Return a topology for a System, with one residue per molecule, elements by mass, and the box of the State."""
-    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
-    context.setPositions(state.getPositions())
-    molecules = context.getMolecules()
-    in_order = [i for molecule in molecules for i in molecule]
-    if in_order != list(range(system.getNumParticles())):  # a Topology lists one molecule after another
-        raise ValueError(
-            "the particles of different molecules are interleaved in the System: pass a PDB or PDBx file instead"
-        )
-    topology = app.Topology()
-    chain = topology.addChain()
-    for molecule in molecules:
-        masses = [system.getParticleMass(i) for i in molecule]
-        elements = [app.Element.getByMass(mass) if mass._value > 0.0 else None for mass in masses]
-        symbols = [element.symbol if element else "V" for element in elements]
-        water = sorted(symbol for symbol in symbols if symbol != "V") == ["H", "H", "O"]
-        residue = topology.addResidue("HOH" if water else "MOL", chain)
-        for number, (symbol, element) in enumerate(zip(symbols, elements, strict=True), 1):
-            topology.addAtom(f"{symbol}{number}", element, residue)
-    atoms = list(topology.atoms())
-    for constraint in range(system.getNumConstraints()):
-        first, second, _ = system.getConstraintParameters(constraint)
-        topology.addBond(atoms[first], atoms[second])
-    if system.usesPeriodicBoundaryConditions():
-        topology.setPeriodicBoxVectors(state.getPeriodicBoxVectors())
-    return topology

@@ -30,12 +30,12 @@ _MOVE = 0.05  # time in ps between two barostat moves for any step size, equal t
 
 
 def couple(system: openmm.System, args: argparse.Namespace) -> None:
-    """Add the barostat of the ensemble to a System; raise ValueError if the System does not allow a barostat."""
+    """Add the barostat of the ensemble; raise ValueError if the System has a thermostat, a barostat or no box."""
     others = [name for force in system.getForces() if (name := type(force).__name__) in UPDATES and name != _REMOVER]
     if others:
         raise ValueError(
-            f"the System already contains {', '.join(others)}, but --ensemble determines the thermostat and the "
-            f"barostat of the run: remove {', '.join(others)} from the System"
+            f"the System already contains {' and '.join(others)}, but --ensemble determines the thermostat and the "
+            f"barostat of the run: remove {' and '.join(others)} from the System"
         )
     if args.ensemble != "npt":
         return
@@ -47,7 +47,7 @@ def couple(system: openmm.System, args: argparse.Namespace) -> None:
 
 
 def pace(system: openmm.System, step: float) -> None:
-    """Set the frequency of a barostat to one move per 50 fs, given the step in ps."""
+    """Set the frequency of a barostat to about one move per 50 fs, given the step in ps."""
     for force in system.getForces():
         if isinstance(force, openmm.MonteCarloBarostat):
             force.setFrequency(max(1, round(_MOVE / step)))

@@ -13,7 +13,7 @@ from openmm import unit
 
 from openmm_exactrb.context.forces import ContextForces
 from openmm_exactrb.context.group_motion import of_groups
-from openmm_exactrb.context.minimiser import OPENMM
+from openmm_exactrb.context.minimiser import OPENMM, VIOLATED
 from openmm_exactrb.context.solver import solvable
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.mechanics.bodies import RigidBodies
@@ -139,8 +139,8 @@ class BodyAccess:
         """Minimise the potential energy.
 
         Bodies stay rigid, including those passed as `bodies`. ``simulation.minimizeEnergy`` calls this method if the
-        integrator has `bodies` or constraints are redundant. OpenMM minimises molecules that are constrained but not
-        rigid.
+        integrator has `bodies`, constraints are redundant or the box has split a molecule. If molecules are constrained
+        but not rigid, this method uses OpenMM's minimiser.
 
         Parameters
         ----------
@@ -183,10 +183,7 @@ class BodyAccess:
                 sync.pull()
             except (ValueError, openmm.OpenMMException) as error:
                 sync.context.setPositions(start)
-                raise ArithmeticError(
-                    "OpenMM's minimiser could not satisfy the constraints, so the positions are unchanged: remove "
-                    "overlaps by short steps at high friction with checkDivergence=False"
-                ) from error
+                raise ArithmeticError(VIOLATED) from error
             sync.push()
             return
         landscape = ContextForces(sync.positions, self.getIntegrationForceGroups(), self.timings).landscape
@@ -217,7 +214,7 @@ class BodyAccess:
         full = state if isinstance(state, State) else State.of(state)
         if any(a.shape != b.shape or not np.isfinite(a).all() for a, b in zip(full, sync.state, strict=True)):
             raise ValueError(
-                "the state must contain one row of finite numbers for each body: pass a state that bodyState() returned"
+                "the state must contain finite numbers for each body of the System: pass a state such as bodyState()[1]"
             )
         if not (np.abs((full.q[0] ** 2).sum(axis=0) - 1.0) < 2e-9).all():
             raise ValueError("orientations must be quaternions of unit length: divide each by its norm")

@@ -7,11 +7,16 @@ from typing import Any
 
 import openmm
 
-from openmm_exactrb.context.solver import solvable
+from openmm_exactrb.context.solver import satisfied, solvable
 from openmm_exactrb.openmm_access import arrays
 
 #: The original method of OpenMM's minimiser, which `minimise_by_integrators` replaces.
 OPENMM = openmm.LocalEnergyMinimizer.minimize
+#: The message after a minimisation by OpenMM that violates the constraints.
+VIOLATED = (
+    "OpenMM's minimiser could not satisfy the constraints, so the positions are unchanged: relax them by short steps "
+    "at high friction with checkDivergence=False"
+)
 
 
 def minimise_by_integrators(kind: type[Any]) -> None:
@@ -26,8 +31,15 @@ def minimise_by_integrators(kind: type[Any]) -> None:
     @functools.wraps(OPENMM)
     def minimise(context: Any, tolerance: Any = 10.0, maxIterations: int = 0, reporter: Any = None) -> None:
         integrator: Any = context.getIntegrator()
-        if not isinstance(integrator, kind) or (not integrator.getNamedBodies() and _suits(context)):
+        if not isinstance(integrator, kind):
             OPENMM(context, tolerance, maxIterations, reporter)
+            return
+        system, start = context.getSystem(), arrays.positions(context.getState(positions=True))
+        if not integrator.getNamedBodies() and solvable(system, start):
+            OPENMM(context, tolerance, maxIterations, reporter)
+            if not satisfied(system, arrays.positions(context.getState(positions=True))):
+                context.setPositions(start)
+                raise ArithmeticError(VIOLATED)
             return
         if reporter is not None:
             raise ValueError(
@@ -37,7 +49,3 @@ def minimise_by_integrators(kind: type[Any]) -> None:
         integrator.minimizeEnergy(tolerance, maxIterations)
 
     openmm.LocalEnergyMinimizer.minimize = staticmethod(minimise)
-
-
-def _suits(context: Any) -> bool:
-    return solvable(context.getSystem(), arrays.positions(context.getState(positions=True)))

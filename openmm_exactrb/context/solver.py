@@ -11,6 +11,8 @@ from openmm_exactrb.support.types import Array
 
 # A distance that differs from the constrained length by more than this fraction of it indicates a split molecule.
 _SPLIT = 0.5
+# The same for positions after the solver has failed; the solver's tolerance is much smaller.
+_MISSED = 0.01
 # Smallest pivot of independent constraints, whose directions are unit vectors.
 _DEPENDENT = 1e-6
 
@@ -24,10 +26,21 @@ def solvable(system: openmm.System, x: Array) -> bool:
     pairs, lengths = parameters.constraints(system)
     if not len(pairs):
         return True
-    apart = x[pairs[:, 0]] - x[pairs[:, 1]]
-    distance = np.linalg.norm(apart, axis=1)
+    apart, distance = _distances(pairs, x)
     whole = np.abs(distance - lengths) <= _SPLIT * lengths
     return bool(whole.all()) and _independent(apart / distance[:, None], pairs, len(x))
+
+
+def satisfied(system: openmm.System, x: Array) -> bool:
+    """Return whether positions (n_particles, 3) that OpenMM's solver has computed satisfy the constraints to 1 %."""
+    pairs, lengths = parameters.constraints(system)
+    return bool((np.abs(_distances(pairs, x)[1] - lengths) <= _MISSED * lengths).all())
+
+
+def _distances(pairs: NDArray[np.intp], x: Array) -> tuple[Array, Array]:
+    """Return the vectors (m, 3) between the particles of each pair, and their lengths (m,)."""
+    apart = x[pairs[:, 0]] - x[pairs[:, 1]]
+    return apart, np.linalg.norm(apart, axis=1)
 
 
 def _independent(directions: Array, pairs: NDArray[np.intp], n_particles: int) -> bool:

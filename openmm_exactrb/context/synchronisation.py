@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import openmm
+from numpy.typing import NDArray
 
 from openmm_exactrb.context import variables
 from openmm_exactrb.detection.find import find_bodies
@@ -184,8 +185,17 @@ class Synchronisation:
             self.push()
         return True
 
+    @functools.cached_property
+    def _fixed(self) -> NDArray[np.intp]:
+        """The indices of the massless particles that are not virtual sites."""
+        system = self.context.getSystem()
+        return np.array([i for i in np.flatnonzero(self.bodies.owner < 0) if not system.isVirtualSite(int(i))], np.intp)
+
     def _joined(self, x: Array) -> Array:
-        """Return positions in which molecules split by the periodic box are whole."""
+        """Return positions in which molecules are whole; raise ValueError if a massless particle has no position."""
+        lost = self._fixed[~np.isfinite(x[self._fixed]).all(axis=1)]
+        if len(lost):
+            raise ValueError(f"the position of particle {lost[0]} is not finite: set a finite one before the next step")
         box = self.box()
         return x if box is None else self._shapes.whole(x, box)
 

@@ -14,6 +14,7 @@ from openmm_exactrb.mechanics.free_motion import advancing
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.openmm_access.units import gas_constant_times
+from openmm_exactrb.support.messages import listed
 from openmm_exactrb.support.types import Array
 from openmm_exactrb.support.warn import warn
 
@@ -26,7 +27,7 @@ BAROSTATS = (
 )
 _OURS = ("SoftDipoleForce", "GayBernePotential")  # names of PythonForces of this package, which have an energy
 _THERMOSTAT, _REMOVER = "AndersenThermostat", "CMMotionRemover"
-#: Forces that change positions or velocities between steps; a System without them conserves its energy.
+#: Forces that change positions or velocities between steps, and therefore the energy.
 UPDATES = (_THERMOSTAT, _REMOVER, *BAROSTATS)
 
 
@@ -77,8 +78,9 @@ class ContextUpdates:
             own = context.getParameter(parameter)
             if not math.isclose(own, temperature, rel_tol=1e-9):
                 raise ValueError(
-                    f"the temperature of the {name} is {own:g} K, but that of the integrator is {temperature:g} K: "
-                    f"call context.setParameter({parameter!r}, {temperature:g}) or integrator.setTemperature({own:g})"
+                    f"the temperature of the {name} is {own:.10g} K, but that of the integrator is {temperature:.10g} "
+                    f"K: call context.setParameter({parameter!r}, {temperature:.10g}) or "
+                    f"integrator.setTemperature({own:.10g})"
                 )
 
     @property
@@ -184,7 +186,8 @@ def _check_torn_bodies(context: openmm.Context, barostats: list[Any], named: Seq
         if not getattr(barostat, "getScaleMoleculesAsRigid", lambda: True)():
             name = type(barostat).__name__
             raise ValueError(
-                f"the {name} would change distances within bodies: call setScaleMoleculesAsRigid(True) on this barostat"
+                f"the {name} would change distances within bodies: call setScaleMoleculesAsRigid(True) on this "
+                "barostat before you create the Simulation"
             )
     if not barostats or not named:
         return
@@ -192,7 +195,7 @@ def _check_torn_bodies(context: openmm.Context, barostats: list[Any], named: Seq
     for number, body in enumerate(named):
         if len({molecule[particle] for particle in body}) > 1:
             raise ValueError(
-                f"a barostat would tear apart body {number} (particles {', '.join(map(str, body))}), which OpenMM does "
+                f"a barostat would tear apart body {number} (particles {listed(body)}), which OpenMM does "
                 "not treat as one molecule: join its particles by bonds, such as those of a HarmonicBondForce with k "
                 "= 0"
             )

@@ -64,7 +64,7 @@ def _fit(context: Any, temperature: Any, *_: Any) -> bool:
 
 
 def _stop(context: Any) -> None:
-    """Bring the centre of mass to rest if the System has a CMMotionRemover, which would do so at the first step."""
+    """Bring the centre of mass to rest if the System has a CMMotionRemover, as the remover would do in a later step."""
     system = context.getSystem()
     if any(isinstance(force, openmm.CMMotionRemover) for force in system.getForces()):
         v, masses = arrays.velocities(context.getState(velocities=True)), parameters.masses(system)

@@ -22,6 +22,7 @@ from openmm_exactrb.mechanics.fit import ShapeWarning
 from openmm_exactrb.openmm_access import arrays, parameters
 from openmm_exactrb.openmm_access.parameters import Rows
 from openmm_exactrb.support import checks
+from openmm_exactrb.support.messages import listed
 from openmm_exactrb.support.types import Array, Indices
 from openmm_exactrb.support.warn import warn
 
@@ -108,7 +109,7 @@ def _flexible(particles: Indices, masses: Array, distances: Array, positions: Ar
         worst = int(np.argmax(missed))
         i, j = particles[0, pairs[worst]]
         raise ValueError(
-            f"the constraint of particles {i} and {j} to {kind.lengths[worst]:g} nm contradicts the other "
+            f"the constraint of {kind.lengths[worst]:g} nm between particles {i} and {j} contradicts the other "
             f"constraints of {kind.name(0)} by {missed[worst]:.2g} nm: correct or remove this constraint"
         )
     x = on_constraints(particles[:1], masses, distances, positions)[particles[:1]]
@@ -126,9 +127,9 @@ def _atoms_of(clusters: Clusters) -> Iterable[Kind]:
 def _check_drude_particles(system: openmm.System) -> None:
     for force in system.getForces():
         if isinstance(force, openmm.DrudeForce) and force.getNumParticles():
-            names = ", ".join(str(force.getParticleParameters(i)[0]) for i in range(min(3, force.getNumParticles())))
+            names = listed(force.getParticleParameters(i)[0] for i in range(force.getNumParticles()))
             raise ValueError(
-                f"the System contains Drude particles ({names}, ...), which need one of OpenMM's Drude integrators: "
+                f"the System contains Drude particles ({names}), which need one of OpenMM's Drude integrators: "
                 "use a force field without Drude particles"
             )
 
@@ -150,9 +151,9 @@ def _named_bodies(system: openmm.System, masses: Array, bodies: Sequence[Sequenc
             raise ValueError(f"body {number} contains no particle with mass: add a particle with mass to this body")
         if len(particles) > 2 * len(massive):
             warn(
-                f"body {number} has the mass and inertia of {len(massive)} particles, because the other "
-                f"{len(particles) - len(massive)} are virtual sites: if createRigidBodies or set_rigid_bodies made "
-                "these sites, create the System without that call, and pass the same bodies in bodies=",
+                f"{len(particles) - len(massive)} of the {len(particles)} particles of body {number} are virtual sites "
+                "and do not contribute to its mass and inertia: if createRigidBodies or set_rigid_bodies made these "
+                "sites, create the System without that call, and pass the same bodies in bodies=",
                 ShapeWarning,
             )
         named.append(massive)

@@ -9,6 +9,7 @@ import numpy as np
 from openmm_exactrb.mathematics.quaternions import matrix, turned
 from openmm_exactrb.mechanics.bodies import Kind
 from openmm_exactrb.mechanics.fit import RIGIDITY, best_attitudes
+from openmm_exactrb.support.messages import listed
 from openmm_exactrb.support.types import Array, Indices
 
 # A body is flat or linear if its squared extent along an axis is less than this fraction of the largest.
@@ -48,8 +49,11 @@ def on_constraints(particles: Indices, masses: Array, distances: Array, position
     not finite or Newton's method does not converge.
     """
     X = positions[particles]
-    if not np.isfinite(X).all():
-        raise ValueError("the positions of some particles are not finite: set finite positions before the first step")
+    lost = ~np.isfinite(X).all(axis=2)
+    if lost.any():
+        raise ValueError(
+            f"the position of particle {particles[lost][0]} is not finite: set finite positions before the first step"
+        )
     first, second = np.nonzero(np.triu(~np.isnan(distances), 1))
     if not len(first):  # without constraints, the positions define the shape
         return positions
@@ -68,10 +72,9 @@ def on_constraints(particles: Indices, masses: Array, distances: Array, position
     missed = np.abs(np.linalg.norm(X[:, first] - X[:, second], axis=2) - lengths).max(axis=1)
     bad = ~(missed <= RESIDUAL * lengths.max())
     if bad.any():
-        names = ", ".join(map(str, particles[np.argmax(bad)]))
         raise ValueError(
-            f"the constraints between particles {names} cannot be satisfied from these positions: set positions "
-            f"whose distances are close to the constraints"
+            f"the constraints between particles {listed(particles[np.argmax(bad)])} cannot be satisfied from these "
+            "positions: set positions whose distances are close to the constraints"
         )
     whole = positions.copy()
     whole[particles] = X
@@ -115,7 +118,8 @@ def _joined(kinds: list[Kind]) -> Kind:
 def held_rigid(distances: Array, x: Array) -> bool:
     """Return whether constraints restrict a cluster at positions x (k, 3) to the motions of a rigid body.
 
-    Unconstrained entries of `distances` (k, k) are nan. In a body passed as `bodies`, all distances are constrained.
+    Unconstrained entries of `distances` (k, k) are nan. A body passed as `bodies` has only such entries off the
+    diagonal, and counts as rigid.
     """
     i, j = np.nonzero(np.triu(~np.isnan(distances), 1))
     every = len(i) == len(x) * (len(x) - 1) // 2
@@ -176,8 +180,8 @@ def _kind(particles: Indices, masses: Array, distances: Array) -> Kind:
     residual = np.abs(np.linalg.norm(sites[:, None] - sites[None, :], axis=2) - distances).max()
     if residual > RESIDUAL * distances.max():
         raise ValueError(
-            f"the constraints between particles {', '.join(map(str, particles[0]))} cannot be satisfied in three "
-            f"dimensions (the fitted positions violate them by up to {residual:.2g} nm): correct the lengths of "
+            f"the constraints between particles {listed(particles[0])} cannot be satisfied in three dimensions "
+            f"(the fitted positions violate them by up to {residual:.2g} nm): correct the lengths of "
             "these constraints"
         )
     # The largest spread comes first, so that the moments of inertia ascend and a linear body lies along axis 1.

@@ -1,8 +1,8 @@
 """Positions of a System in which split molecules are joined along constraints and bonds, or to a known shape.
 
-The positions define the shapes of the bodies passed as `bodies`. If neither constraints nor bonds join the parts of
-such a body, its positions are used unchanged. A ValueError is raised if there is evidence that the box has split the
-body.
+The positions define the shapes of the bodies passed as `bodies`. If neither constraints, bonds nor bodies with the same
+masses determine how to join the parts of such a body, its positions are used unchanged, or a ValueError is raised if
+there is evidence that the box has split the body.
 """
 
 from __future__ import annotations
@@ -261,7 +261,7 @@ def _say(number: int, X: Array, box: Array, split: bool) -> None:
     likely = (in_cell or given > 4.0 * clear) and (len(X) > 2 or across < clear)
     if torn and (fitting or likely):
         warn(
-            f"body {number} has a gap of {given:.3g} nm between its particles as given, or of {across:.2g} nm across "
+            f"body {number} has a gap of {given:.3g} nm between its particles as given, or of {across:.3g} nm across "
             f"the periodic box, and the positions are used as given: if the box has split this body, {_REMEDY}",
             ShapeWarning,
         )

@@ -22,7 +22,7 @@ from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.thermostat import Thermostat
 
-#: The message of an engine that does not record the heat of its thermostat.
+#: The error message for a thermostat whose heat the engine does not record.
 NO_BALANCE = (
     "the device engine does not record the heat of the thermostat: use engine='host' to monitor the energy balance"
 )
@@ -100,7 +100,7 @@ class Propagator(Protocol):
     def energy_at_exchange(self, version: object, settings: Callable[[], Settings]) -> float:
         """Return the total energy (kJ/mol) at the last heat exchange; the arguments are those of `advance`.
 
-        A ValueError (`NO_BALANCE`) is raised if the engine does not record the heat of its thermostat.
+        A ValueError is raised if the engine cannot compute this energy.
         """
 
     def advance(self, version: object, settings: Callable[[], Settings], key: int, n: int) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 from openmm_exactrb.ensemble.jobs import Job, Result
 from openmm_exactrb.support.checks import whole
 from openmm_exactrb.support.files import written_whole
+from openmm_exactrb.support.messages import shown
 
 
 def run(jobs: Iterable[Job], folder: str | os.PathLike[str], **options: Any) -> list[Result]:
@@ -67,7 +68,7 @@ def as_completed(
     distinct = list(dict.fromkeys(jobs))
     for job in distinct:
         if not isinstance(job, Job):
-            raise TypeError(f"jobs must be Job objects, not {job!r}")
+            raise TypeError(f"jobs must be Job objects, not {shown(job)}")
     if scheduler is not None and workers is not None:
         raise ValueError(
             "scheduler= and workers= exclude each other, because a scheduler has its own workers: omit one of these "

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import inspect
 import json
-import reprlib
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from typing import Any
 
 import openmm
 
+from openmm_exactrb.support.messages import shown
 from openmm_exactrb.support.stable_text import digest, qualified_name, stable_text
 from openmm_exactrb.support.version import version
 
@@ -75,8 +75,8 @@ class Job:
         return copy.deepcopy(self._arguments)
 
     def __repr__(self) -> str:
-        shown = {name: getattr(value, "__qualname__", reprlib.repr(value)) for name, value in self._arguments.items()}
-        values = (f"{name}={text}" for name, text in shown.items())
+        texts = {name: getattr(value, "__qualname__", shown(value)) for name, value in self._arguments.items()}
+        values = (f"{name}={text}" for name, text in texts.items())
         return f"Job({', '.join([qualified_name(self.function), *values])})"
 
     def __eq__(self, other: object) -> bool:
@@ -131,7 +131,7 @@ def sweep(function: Callable[..., Any], axes: Mapping[str, Iterable[Any]], **fix
     """
     for name, values in axes.items():
         if isinstance(values, str):
-            raise TypeError(f"axis {name} must be a list of values, not {values!r}")
+            raise TypeError(f"axis {name} must be a list of values, not {shown(values)}")
     return [Job(function, **dict(zip(axes, values, strict=True)), **fixed) for values in product(*axes.values())]
 
 
@@ -147,7 +147,7 @@ def _importable_name(function: Any) -> str:
     except (AttributeError, KeyError):
         found = None
     if found is not function or not callable(function):
-        raise TypeError(f"must be a module-level function, not {function!r}")
+        raise TypeError(f"must be a module-level function, not {shown(function)}")
     return qualified_name(function)
 
 

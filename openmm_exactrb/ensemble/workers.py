@@ -18,6 +18,7 @@ import numpy as np
 from dask.system import CPU_COUNT
 
 from openmm_exactrb.ensemble.jobs import Job, Result, versions
+from openmm_exactrb.support.messages import shown
 
 #: Seconds to wait for a scheduler to answer.
 TIMEOUT = 20.0
@@ -65,9 +66,10 @@ def perform(pickled: bytes, wanted: list[str]) -> dict[str, Any]:
     began = time.perf_counter()
     try:
         if versions() != wanted:
+            own, needed = (" with OpenMM ".join(both) for both in (versions(), wanted))
             raise RuntimeError(
-                f"this worker has openmm-exactrb and OpenMM {versions()}, but the job needs {wanted}: start "
-                "the workers in the environment of the job"
+                f"this worker has openmm-exactrb {own}, but the job needs openmm-exactrb {needed}: start the workers "
+                "in the environment of the job"
             )
         job = pickle.loads(pickled)
         fields = {"value": _as_from_json(job.function(**job.arguments))}
@@ -82,7 +84,7 @@ def _as_from_json(value: Any) -> Any:
     def listed(part: Any) -> Any:
         if isinstance(part, (np.ndarray, np.generic)):
             return part.tolist()
-        raise TypeError(f"a result must be numbers, text, lists, mappings or numpy arrays, not {part!r}")
+        raise TypeError(f"a result must be numbers, text, lists, mappings or numpy arrays, not {shown(part)}")
 
     return json.loads(json.dumps(value, default=listed))
 

@@ -59,7 +59,7 @@ def _type(word: str) -> Any:
 
 
 def at_first_call(function: Function) -> Function:
-    """Compile a function at its first call; the only fast-math options are reordered sums and fused products."""
+    """Compile a function at its first call; its fast-math options (`_REORDERED`) still respect nan and infinity."""
     fast: Function = _cached(njit(error_model="numpy", nogil=True, fastmath=_REORDERED)(function))
     return fast
 

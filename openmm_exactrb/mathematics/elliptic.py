@@ -15,7 +15,7 @@ from openmm_exactrb.support.types import Array
 SEPARATRIX_LIMIT = 345.0
 #: Below this phase, sn v = v, cn v = dn v = 1 to the last bit, and the recurrence in cot(phase) would overflow.
 TINY_PHASE = 1e-60
-#: For p above this value, three terms of the series of R_J in 1/p are exact to roundoff.
+#: For p above this value, three terms of the series of R_J in 1/sqrt(p) are exact to roundoff.
 LARGE_P = 1e11
 #: If x and y are below this bound and below p times this bound, their first-order terms in R_J are below roundoff.
 TINY_SQUARE = 1e-60
@@ -79,8 +79,8 @@ def third_kind(v: Array, kc2: Array, c: Array, b: Array, w: Array, cn: Array, dn
 
     Notes
     -----
-    Within half a period the integral is b/3 w³ R_J(cn², dn², 1, 1 + b w²) with Carlson's R_J (DLMF 19.25.14); if kc =
-    0, the integral is elementary.
+    For abs(v) <= K the integral is b/3 w³ R_J(cn², dn², 1, 1 + b w²) with Carlson's R_J (DLMF 19.25.14); if kc = 0, the
+    integral is elementary.
     """
     separatrix = kc2 == 0.0
     reduced = np.where(cn < 0.0, -w, w)
@@ -171,8 +171,8 @@ def sine_short(s: Numbers, x: Numbers, z: Numbers) -> Numbers:
 def third_kind_legendre(sn: Array, cn: Array, dn: Array, half_turns: Array, kc2: Array, nc: Array) -> Array:
     """Return Legendre's incomplete integral of the third kind minus its argument, Pi(n; am u, k) - u, for any u.
 
-    The result is the integral of n sn² / (1 - n sn²) from 0 to u. Within half a period, it is n/3 sn³ R_J(cn², dn², 1,
-    1 - n sn²) (DLMF 19.25.14). The arguments are the results of `jacobi` for u, positive kc2 = 1 - k², and positive nc
+    The result is the integral of n sn² / (1 - n sn²) from 0 to u. For abs(u) <= K, it is n/3 sn³ R_J(cn², dn², 1, 1 - n
+    sn²) (DLMF 19.25.14). The arguments are the results of `jacobi` for u, positive kc2 = 1 - k², and positive nc
     = 1 - n.
     """
     sn2, cn2 = sn * sn, cn * cn

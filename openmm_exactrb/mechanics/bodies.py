@@ -17,6 +17,7 @@ from openmm_exactrb import kernels
 from openmm_exactrb.kernels.records import Particles
 from openmm_exactrb.mechanics.clusters import Clusters, ClusterState
 from openmm_exactrb.mechanics.state import BodyState, State
+from openmm_exactrb.support.messages import listed
 from openmm_exactrb.support.types import Array, Indices
 
 # Ratio of the smallest to the largest moment below which a body is thin, so that light particles define its
@@ -199,7 +200,7 @@ class RigidBodies:
                 return of_clusters.name(int(cluster[0]))
         for kind in self.kinds:
             if kind.bodies.start <= body < kind.bodies.stop:
-                return f"body {body} (particles {', '.join(map(str, kind.particles[body - kind.bodies.start]))})"
+                return f"body {body} (particles {listed(kind.particles[body - kind.bodies.start])})"
         raise IndexError(f"body {body} does not exist: use a number from 0 to {len(self) - 1}")
 
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from openmm_exactrb import kernels
 from openmm_exactrb.kernels.records import Graph
 from openmm_exactrb.mechanics.elimination import eliminated, factor
+from openmm_exactrb.support.messages import listed
 from openmm_exactrb.support.types import Array, Indices
 
 #: The largest number of constraints in a cluster.
@@ -81,9 +82,7 @@ class ClusterKind:
 
     def name(self, cluster: int) -> str:
         """Return a description of a cluster that lists its particles."""
-        members = [str(k) for k in self.particles[cluster]]
-        shown = members if len(members) < 9 else [*members[:4], "...", *members[-2:]]
-        return f"the cluster of particles {', '.join(shown)}"
+        return f"the cluster of particles {listed(self.particles[cluster])}"
 
     def missed(self, x: Array) -> Array:
         """Return the errors (N, m + k) of constrained lengths at positions (N, n, 3), in nm, implied ones last."""
@@ -151,8 +150,9 @@ class ClusterKind:
         if bad.any():
             i, j = self.particles[0, self.pairs[np.argmax(bad)]]
             raise ValueError(
-                f"the constraint of particles {i} and {j} to {self.lengths[np.argmax(bad)]:g} nm is invalid, because "
-                "a constraint needs two different particles and a positive length: correct or remove this constraint"
+                f"the constraint of {self.lengths[np.argmax(bad)]:g} nm between particles {i} and {j} is invalid, "
+                "because a constraint needs two different particles and a positive length: correct or remove this "
+                "constraint"
             )
         if len(self.pairs) > LARGEST:
             raise ValueError(
@@ -163,7 +163,7 @@ class ClusterKind:
         if independence.max() < _INDEPENDENT:
             i, j = self.particles[0, self.graph.pairs[constraint[np.argmax(independence)]]]
             raise ValueError(
-                f"the constraint of particles {i} and {j} follows from the others of {self.name(0)}: remove this "
+                f"the constraint between particles {i} and {j} follows from the others of {self.name(0)}: remove this "
                 "constraint"
             )
 
@@ -175,8 +175,8 @@ class ClusterKind:
             worst = int(np.argmin(independence))
             i, j = self.particles[worst, self.graph.pairs[constraint[worst]]]
             raise ValueError(
-                f"{self.name(worst)} is in a singular configuration, where the constraint of particles {i} and {j} "
-                "follows from the others: if its particles are on a line or in a plane by chance, set other "
+                f"{self.name(worst)} is in a singular configuration, where the constraint between particles {i} and "
+                f"{j} follows from the others: if its particles are on a line or in a plane by chance, set other "
                 "positions; if a part of the molecule is always straight or flat, remove this constraint, or make "
                 "the molecule rigid by constraining all distances or naming the molecule in bodies="
             )

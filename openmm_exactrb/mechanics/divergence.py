@@ -16,7 +16,7 @@ from openmm_exactrb.support.warn import warn
 
 #: The speed of light in nm/ps. Forces are not evaluated if a body is faster.
 LIGHT = 299_792.458
-#: Energies are compared if the sum of squared momenta has grown by more than this factor since the last valid state.
+#: Energies are compared if the sum of squared momenta exceeds its largest accepted value by more than this factor.
 GROWN = 1.5
 # A run has diverged if the total energy rises by more than this fraction of the kinetic energy before or after the
 # step, whichever is larger. A long step may remove most of the kinetic energy of a vibration.

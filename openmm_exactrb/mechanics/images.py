@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.links import Links, shortest_tree
 from openmm_exactrb.mechanics.state import BodyState
+from openmm_exactrb.support.messages import listed
 from openmm_exactrb.support.types import Array, Indices
 
 # A distance may be a link's length if they differ by less than `_NEAR` (nm), and counts as equal to this length if they
@@ -118,9 +119,8 @@ def _best_way(x: Array, links: Links, box: Array, names: Indices) -> Array:
     if missed(given) <= misses[best] + _EQUAL:
         return given
     if (misses <= misses[best] + _EQUAL).sum() > 1:
-        shown = ", ".join(map(str, names[:8])) + (", ..." if len(names) > 8 else "")
         raise ValueError(
-            f"the periodic box has split the group of particles {shown}, and two images fit equally well: set "
+            f"the periodic box has split the group of particles {listed(names)}, and two images fit equally well: set "
             "positions in which this group is whole"
         )
     return tried[best]

@@ -41,7 +41,7 @@ _CUSTOM = openmm.CustomBondForce, openmm.CustomAngleForce, openmm.CustomTorsionF
 
 
 def separate_bonded(system: openmm.System) -> int:
-    """Move the bonded forces of a System to a separate force group, for OpenMM's ``MTSIntegrator`` and ``fast=(1,)``.
+    """Move the bonded forces of a System to a separate force group, for OpenMM's ``MTSIntegrator`` and for ``fast=``.
 
     Bonded forces are HarmonicBondForce, HarmonicAngleForce, PeriodicTorsionForce, RBTorsionForce, CMAPTorsionForce,
     CustomBondForce, CustomAngleForce and CustomTorsionForce. Energies and forces do not change. Call this function

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import operator
-import reprlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -20,6 +19,7 @@ from openmm_exactrb.schemes.catalogue import scheme as look_up
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.substeps import DRIFT, KICK, Drift, GradientKick, HeatExchange, Kick
 from openmm_exactrb.support.checks import whole
+from openmm_exactrb.support.messages import shown
 from openmm_exactrb.support.warn import warn
 
 # Inner schemes, and the longest time between two kicks by the fast forces as a fraction of the period of the fastest
@@ -77,7 +77,9 @@ class MultipleTimeSteps:
             steps = whole(steps, "innerSteps")
         if fast is None:
             if scheme or steps:
-                raise ValueError('inner= and innerSteps= need fast forces: set fast= too, such as fast="bonded"')
+                raise ValueError(
+                    'inner= and innerSteps= have no effect with fast=None: omit them, or pass fast="bonded"'
+                )
             return None
         if isinstance(fast, str) and fast == AUTO and (scheme or steps):
             fast = BONDED  # settings of inner steps request inner steps
@@ -104,7 +106,7 @@ def _groups(fast: Any) -> tuple[int, ...]:
         groups = set()
     if not groups or not groups <= set(range(32)):
         raise ValueError(
-            f'fast must be "auto", None, "bonded" or force groups such as (1, 2), not {reprlib.repr(fast)}: '
+            f'fast must be "auto", None, "bonded" or force groups from 0 to 31, such as (1, 2), not {shown(fast)}: '
             "call force.getForceGroup() for the group of a force"
         )
     return tuple(sorted(groups))
@@ -232,7 +234,8 @@ def _of_groups(system: openmm.System, settings: MultipleTimeSteps) -> FastForces
         return None
     if present <= set(groups):
         raise ValueError(
-            "fast= names all forces of the System, so no forces remain for the outer steps: name fewer groups"
+            "fast= names all forces of the System, so no forces remain for the outer steps: name fewer groups, or omit "
+            "fast="
         )
     frequency = fastest(system, groups)
     if not frequency and settings.steps is None:

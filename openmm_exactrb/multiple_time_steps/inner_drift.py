@@ -2,7 +2,7 @@
 
 The drift of the outer scheme is the flow of the kinetic energy and of a fast potential, and is itself split by the
 method of M. Tuckerman, B. J. Berne and G. J. Martyna, J. Chem. Phys. 97, 1990 (1992), doi:10.1063/1.463137. Bodies on
-which the fast potential does not act have a single drift.
+which fast bonded forces do not act have a single drift; with named force groups, all bodies have inner steps.
 """
 
 from __future__ import annotations

@@ -24,10 +24,16 @@ def plain(value: Any, in_unit: unit.Unit, what: str) -> float:
     if unit.is_quantity(value):
         if not quantity.unit.is_compatible(in_unit):
             raise ValueError(
-                f"{value} is not {what}: pass a number in {in_unit.get_symbol()}, or a Quantity with compatible units"
+                f"{value} is not {what}: pass a number in {_symbol(in_unit)}, or a Quantity with compatible units"
             )
         quantity = quantity.value_in_unit(in_unit)
-    return checks.number(quantity, what, in_unit.get_symbol())
+    return checks.number(quantity, what, _symbol(in_unit))
+
+
+def _symbol(of: unit.Unit) -> str:
+    """Return the symbol of a unit, such as 1/ps, for which OpenMM has the symbol /ps."""
+    symbol = str(of.get_symbol())
+    return f"1{symbol}" if symbol.startswith("/") else symbol
 
 
 def stripped(value: Any, in_unit: unit.Unit) -> Any:

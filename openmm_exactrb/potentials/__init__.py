@@ -1,4 +1,4 @@
-"""Potentials between rigid bodies as OpenMM forces; each potential is a function that returns a Force.
+"""Potentials between rigid bodies as OpenMM forces; a function for each potential returns one Force or two.
 
 OpenMM's units (amu, nm, ps and kJ/mol) are consistent, so that numbers in reduced units can be used unchanged.
 """

@@ -21,6 +21,7 @@ from openmm_exactrb.dielectric import reaction
 from openmm_exactrb.potentials import ewald
 from openmm_exactrb.potentials.switching import sharp_volume
 from openmm_exactrb.support import checks
+from openmm_exactrb.support.messages import shown
 
 _log = logging.getLogger("openmm_exactrb")
 
@@ -158,7 +159,7 @@ class Ewald(_Periodic):
         if self.method not in ("auto", "direct", "mesh"):
             raise ValueError(f"the method {self.method!r} is unknown: choose one of auto, direct, mesh")
         if self.method == "direct" and not (self.mesh is None and self.order is None):
-            raise ValueError("the direct sum has no mesh: omit mesh and order, or use method='mesh'")
+            raise ValueError("the direct sum has no mesh: omit mesh= and order=, or use method='mesh'")
         if self.order is not None and (checks.whole(self.order, "order") % 2 or not 4 <= self.order <= 16):
             raise ValueError(f"order must be an even number from 4 to 16, not {self.order!r}")
         if self.mesh is not None:
@@ -172,7 +173,7 @@ class Ewald(_Periodic):
                     )
             if np.shape(self.mesh) not in ((), (3,)):
                 raise ValueError(
-                    f"mesh must be one number of points or three numbers, one for each edge, not {self.mesh!r}"
+                    f"mesh must be one number of points or three numbers, one for each edge, not {shown(self.mesh)}"
                 )
             points = tuple(map(int, np.ravel(self.mesh)))  # lists and arrays have no hash
             object.__setattr__(self, "mesh", points if len(points) == 3 else points[0])
@@ -214,17 +215,22 @@ def _parameters(boundary: Ewald, n: int, edges: Edges) -> ewald.EwaldParameters:
     """Return the parameters of the fastest sum that has the settings of a boundary."""
     cutoff, switch = boundary.distances(edges)
     by_mesh = boundary.method == "mesh" or not (boundary.mesh is None and boundary.order is None)
+    if by_mesh and boundary.tolerance < ewald.LEAST_TOLERANCE:
+        raise ValueError(
+            f"a mesh needs a tolerance of at least {ewald.LEAST_TOLERANCE:g}, not {boundary.tolerance:g}: use a larger "
+            "tolerance, or method='direct' without mesh= and order="
+        )
     choices = [] if by_mesh else [ewald.direct(n, edges, cutoff, switch, boundary.tolerance)]
     if by_mesh or (boundary.method == "auto" and boundary.tolerance >= ewald.LEAST_TOLERANCE):
         given = None if boundary.cutoff is None else cutoff
         points = None if boundary.mesh is None else tuple(int(m) for m in np.broadcast_to(boundary.mesh, 3))
         begin = None if boundary.switch is None else switch
         choices += ewald.meshes(n, edges, boundary.tolerance, given, begin, boundary.order, points)
-    if not choices or (by_mesh and boundary.tolerance < ewald.LEAST_TOLERANCE):
+    if not choices:
         raise ValueError(
             f"no mesh of up to {ewald.MOST_POINTS} points along an edge meets a tolerance of {boundary.tolerance:g} "
-            f"for {n} dipoles with the given parameters: use a larger tolerance, a longer cutoff, a higher order, or "
-            "method='direct'"
+            f"for {n} dipole{'s' * (n != 1)} with the given parameters: use a larger tolerance, a longer "
+            "cutoff, a higher order, or method='direct'"
         )
     # At similar costs the direct sum is preferred, because it has no mesh error.
     weights = {"direct": 0.8, "mesh": 1.0}
@@ -232,7 +238,7 @@ def _parameters(boundary: Ewald, n: int, edges: Edges) -> ewald.EwaldParameters:
     if chosen.error > boundary.tolerance:
         raise ValueError(
             f"a mesh of {chosen.points} points with splines of order {chosen.order} and a cutoff of {chosen.cutoff:g} "
-            f"nm has an error of {chosen.error:.1g}, above the tolerance of {boundary.tolerance:g}: use more points, "
+            f"nm has an error of {chosen.error:.2g}, above the tolerance of {boundary.tolerance:g}: use more points, "
             "a longer cutoff or a larger tolerance"
         )
     _log.info("Ewald sum of %d dipoles: %s", n, chosen)
@@ -248,14 +254,14 @@ OPEN = Open()
 def checked(boundary: Boundary) -> Boundary:
     """Return the argument if it is a boundary; raise ValueError for anything else."""
     if not isinstance(boundary, Open | ReactionField | Ewald):
-        raise ValueError(f"boundary must be one of Open(), ReactionField(...) and Ewald(...), not {boundary!r}")
+        raise ValueError(f"boundary must be one of Open(), ReactionField(...) and Ewald(...), not {shown(boundary)}")
     return boundary
 
 
 def edges_of(box: Sequence[float]) -> Edges:
     """Return the edges of a rectangular box (nm) as floats; raise ValueError unless they are three positive numbers."""
     if unit.is_quantity(box) or np.shape(box) != (3,):
-        raise ValueError(f"box must be three positive edges in nm without a unit, such as (3, 3, 3), not {box!r}")
+        raise ValueError(f"box must be three positive edges in nm without a unit, such as (3, 3, 3), not {shown(box)}")
     a, b, c = (checks.positive(edge, "each edge of the box", "nm") for edge in box)
     return a, b, c
 
@@ -266,7 +272,7 @@ def check_cutoff(cutoff: float, edges: Sequence[float], name: str = "cutoff") ->
     if not cutoff <= half * (1.0 + 1e-12):
         raise ValueError(
             f"{name} must be at most half the shortest edge of the box, {half:g} nm, not {cutoff:g} nm: use a larger "
-            "box, or a shorter cutoff that allows a barostat to shrink the box"
+            "box or a shorter cutoff, and leave room if a barostat may shrink the box"
         )
 
 
@@ -277,4 +283,4 @@ def _plain(value: float) -> float:
 
 def _check_switch(switch: float, cutoff: float) -> None:
     if not switch < cutoff:
-        raise ValueError(f"switch must be between 0 and the cutoff of {cutoff:g} nm, not {switch} nm")
+        raise ValueError(f"switch must be below the cutoff of {cutoff:g} nm, not {switch:g} nm")

@@ -70,9 +70,9 @@ def soft_dipole_force(
         Whether to subtract the energy of two spheres at the cutoff from their energy before the switch is applied.
     kernel : {"auto", "openmm", "bonds", "compiled"}
         Type of the force. "auto" or "compiled": a kernel in double precision on all cores, the fastest on a CPU.
-        "openmm": a `CustomHbondForce` if there is a cutoff, which OpenCL, CUDA and HIP evaluate on the device.
-        "bonds": a `CustomCompoundBondForce` with a bond for each pair, which is faster on Reference and supports any
-        cutoff. `Ewald` needs the compiled kernel.
+        "openmm": a `CustomHbondForce` if there is a cutoff, which OpenCL, CUDA and HIP evaluate on the device. "bonds":
+        a `CustomCompoundBondForce` with a bond for each pair, which is faster on Reference and supports cutoffs up to
+        half the box. `Ewald` needs the compiled kernel.
 
     Returns
     -------
@@ -139,7 +139,7 @@ def spheres_of(
         if found is not None and found.switch < end:
             raise ValueError(
                 f"the switch of the spheres begins at {found.switch:g} nm, before the minimum of their energy at "
-                f"{end:g} nm: use a larger box, or a larger sphere_cutoff"
+                f"{end:g} nm: set sphere_switch= beyond this minimum, in a larger box if necessary"
             )
     return found
 

@@ -62,8 +62,8 @@ def direct(n: int, edges: Edges, cutoff: float, switch: float, tolerance: float)
     waves = kernels.load("pairs").number_of_waves(edges, k_max)
     if waves > MOST_WAVES:
         raise ValueError(
-            f"an Ewald sum with a switch at {begin:g} nm and a tolerance of {tolerance:g} needs {waves:.2g} waves, "
-            f"more than {MOST_WAVES}: start the switch at a larger distance, or use a larger tolerance"
+            f"an Ewald sum with a switch at {begin:g} nm and a tolerance of {tolerance:g} needs {waves:.3g} waves, "
+            f"more than {MOST_WAVES:g}: start the switch at a larger distance, or use a larger tolerance"
         )
     return EwaldParameters("direct", cutoff, switch, alpha, k_max, 0, (), tolerance)
 

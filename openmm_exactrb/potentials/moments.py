@@ -44,6 +44,6 @@ def dipole_strength(dipole: unit.Quantity | float) -> float:
         moment = quantity.value_in_unit(unit.elementary_charge * unit.nanometer)
     except TypeError:
         raise ValueError(
-            f"{dipole} is not a dipole moment: pass a Quantity in e nm or debye, or a number in sqrt(kJ/mol nm^3)"
+            f"{dipole} is not a dipole moment: pass a Quantity in e nm or debye, or a number in sqrt(kJ/mol nm³)"
         ) from None
     return float(checks.number(moment, "a dipole moment", "e nm") * COULOMB**0.5)

@@ -57,7 +57,7 @@ def dipole_rod_forces(
     boundary : Ewald
         An Ewald sum with an infinite dielectric constant. The tolerance, at least 1e-4, determines the splitting and
         the mesh. Errors are within the tolerance in double precision, and at least 2e-4 in single precision. The
-        default cutoff is three times the mean distance of the dipoles.
+        default cutoff is three times the mean distance of the dipoles, at most 0.45 of the shortest edge.
     centres : sequence of int
         Particles or virtual sites in the middle of the rods.
 
@@ -90,7 +90,7 @@ def dipole_rod_forces(
     if not cutoff + length < 0.5 * min(edges):
         raise ValueError(
             f"cutoff + length, {cutoff + length:g} nm, must be below half the shortest edge of the box, "
-            f"{0.5 * min(edges):g} nm: use a shorter cutoff or shorter rods"
+            f"{0.5 * min(edges):g} nm: use a larger box, a shorter cutoff or shorter rods"
         )
     coupling = parameters.pop("dipole_coupling")
     alpha, spacing = _mesh(len(rods), edges, cutoff, length, boundary.tolerance)
@@ -116,7 +116,7 @@ def dipole_rod_forces(
 
 
 def rod_length(n: int, box: Sequence[float], boundary: Ewald) -> float:
-    """Return the length (nm) of n rods at which the errors of octupoles equal the tolerance of the boundary."""
+    """Return a length (nm) of n rods at which the errors of octupoles are within the tolerance of the boundary."""
     cutoff, _ = _distances(n, edges_of(box), boundary)
     return cutoff * min(0.1, math.sqrt(2.0 * boundary.tolerance))
 
@@ -128,7 +128,7 @@ def _distances(n: int, edges: Edges, boundary: Ewald) -> tuple[float, float]:
     if boundary.tolerance < LEAST_TOLERANCE:
         raise ValueError(
             f"the tolerance of rods of charges must be at least {LEAST_TOLERANCE:g}, not {boundary.tolerance:g}: use a "
-            "larger tolerance, or kernel='compiled'"
+            "larger tolerance, or kernel='compiled' in soft_dipole_force or dipole_fluid"
         )
     if boundary.cutoff is None:
         boundary = replace(boundary, cutoff=min(3.0 * mean_distance(n, edges), 0.45 * min(edges)))

@@ -40,8 +40,8 @@ def cutoff_in(
     if edges is None:
         if cutoff is not None or switch is not None or shifted:
             raise ValueError(
-                "sphere_cutoff, sphere_switch and shifted need a periodic box: add boundary=ReactionField() or "
-                "boundary=Ewald()"
+                "sphere_cutoff=, sphere_switch= and shifted= need a periodic box: add boundary=ReactionField() or "
+                "boundary=Ewald(), or omit these arguments"
             )
         return None
     half = 0.5 * min(edges)
@@ -49,7 +49,7 @@ def cutoff_in(
     check_cutoff(end, edges, "sphere_cutoff")
     begin = 0.75 * end if switch is None else checks.not_negative(switch, "sphere_switch")
     if not begin < end:
-        raise ValueError(f"sphere_switch must be between 0 and the sphere_cutoff of {end:g} nm, not {begin:g} nm")
+        raise ValueError(f"sphere_switch must be below the sphere_cutoff of {end:g} nm, not {begin:g} nm")
     return SphereCutoff(float(end), float(begin), bool(shifted))
 
 

@@ -6,8 +6,8 @@ equations (5) and (6) are then plus: x_j = A_j dn u, x2 = A2 sn u, x_l = A_l cn 
 
 E. Celledoni, F. Fassò, N. Säfström and A. Zanna, section 2.1, doi:10.1137/070704393. The paper's 1 - 2T I_i and 1 - k²
 are computed here without cancellation, except for 1 - 2T I2, which vanishes on the separatrix. At a relative distance S
-from the separatrix, a step in which the momentum passes the middle axis has an error of about eps h norm(omega)/S; the
-`exact` flow does not have this error.
+from the separatrix, a step in which the momentum passes the middle axis has an error of up to about eps h
+norm(omega)/S; the `exact` flow does not have this error.
 """
 
 from __future__ import annotations

@@ -59,7 +59,7 @@ def free_rotor(
     """
     inertia, q, m, t = map(checks.array, (inertia, q0, m0, t), ("inertia", "q0", "m0", "t"))
     if q.shape[-1:] != (4,) or m.shape[-1:] != (3,):
-        raise ValueError(f"q0 must have the shape (N, 4) and m0 (N, 3), not {q.shape} and {m.shape}")
+        raise ValueError(f"q0 must have the shape (4,) or (N, 4), and m0 (3,) or (N, 3), not {q.shape} and {m.shape}")
     try:
         shape = np.broadcast_shapes(inertia.shape[:-1], q.shape[:-1], m.shape[:-1], t.shape)
     except ValueError:

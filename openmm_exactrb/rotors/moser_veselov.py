@@ -127,8 +127,8 @@ def _report(q: Array, m: Array, failed: NDArray[np.bool_], order: int) -> None:
         return
     q[:, failed] = m[:, failed] = np.nan
     warn(
-        f"dmv{order}: {np.count_nonzero(failed)} of {failed.size} bodies did not converge within {MOST_ITERATIONS} "
-        "iterations, and their results are nan: use a shorter step",
+        f"dmv{order} did not converge within {MOST_ITERATIONS} iterations, so results are nan (bodies affected: "
+        f"{np.count_nonzero(failed)} of {failed.size}): use a shorter step",
         NotConvergedWarning,
     )
 

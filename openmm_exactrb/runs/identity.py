@@ -46,9 +46,15 @@ def _text_of_system(system: openmm.System) -> str:
     return f"{system.getNumParticles()} particles, hash {digest(content.encode())}"
 
 
-def setting_text(value: Any) -> str:
-    """Return a setting as text; a long text is replaced by its name or beginning, and a hash."""
-    text = stable_text(value)
+def setting_text(value: Any, name: str) -> str:
+    """Return a setting as text; a long text is replaced by its name or beginning, and a hash.
+
+    A TypeError, with the name of the setting, is raised if the value has no text that is equal in every process.
+    """
+    try:
+        text = stable_text(value)
+    except TypeError as error:
+        raise TypeError(f"{name} {error}") from None
     if len(text) <= _LONGEST:
         return text
     return f"{getattr(value, 'name', text[:_LONGEST] + '...')}, hash {digest(text.encode())}"
@@ -57,7 +63,7 @@ def setting_text(value: Any) -> str:
 def _settings(integrator: ExactRigidBodyIntegrator) -> dict[str, str]:
     given = {name: value for group in integrator.getSettings().values() for name, value in group.items()}
     given.pop("checkDivergence")  # does not affect the trajectory
-    settings = {name: setting_text(value) for name, value in given.items()}
+    settings = {name: setting_text(value, f"the integrator's {name}") for name, value in given.items()}
     settings["engine"] = integrator.getEngine()
     if integrator.getNamedBodies() is not None:
         bodies, _ = integrator.bodyState()

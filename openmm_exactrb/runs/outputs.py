@@ -15,6 +15,7 @@ from openmm import app
 from openmm_exactrb.runs.identity import setting_text
 from openmm_exactrb.runs.trajectories import begin_with_the_start, check_lost_frames
 from openmm_exactrb.support.files import sync, written_whole
+from openmm_exactrb.support.messages import shown
 
 #: Name of the file with the topology and the initial positions, which is written once.
 TOPOLOGY = "topology.pdb"
@@ -39,7 +40,7 @@ class Outputs:
     def add(self, factory: Callable[..., Any], name: str, interval: int) -> None:
         """Add a file; see `Run.add_reporter`."""
         if not callable(factory):
-            raise ValueError(f"a reporter must be a class such as openmm.app.DCDReporter, not {factory!r}")
+            raise ValueError(f"a reporter must be a class such as openmm.app.DCDReporter, not {shown(factory)}")
         if name in self._factories:
             raise ValueError(
                 f"another reporter already writes the file {name}: choose another file name for the new reporter"
@@ -117,7 +118,9 @@ def _name_of(factory: Callable[..., Any]) -> str:
 def _described(factory: Callable[..., Any]) -> str:
     """Return the name of a factory, with the options of a `functools.partial`."""
     options = [*getattr(factory, "args", ()), getattr(factory, "keywords", {})]
-    return _name_of(factory) + (f" with {setting_text(options)}" if any(options) else "")
+    return _name_of(factory) + (
+        f" with {setting_text(options, f'the options of {_name_of(factory)}')}" if any(options) else ""
+    )
 
 
 def _state(simulation: Any, request: Any) -> Any:

@@ -25,6 +25,7 @@ from openmm_exactrb.runs.lock import only_process
 from openmm_exactrb.runs.outputs import TOPOLOGY, Outputs
 from openmm_exactrb.runs.signals import Signals
 from openmm_exactrb.support.checks import not_negative, whole
+from openmm_exactrb.support.messages import shown
 
 _OPTIONS = ("out", "overwrite", "resume", "checkpoint")
 _RESUME = "resume the run (resume=True or --resume)"
@@ -37,8 +38,9 @@ class Run:
     """A Simulation with its files in one folder, which can be resumed after any interruption.
 
     Checkpoints store the state and the lengths of all output files at intervals. A resumed run truncates the files to
-    these lengths and loads the state, so that no frame is lost or duplicated. On the Reference platform every file is
-    identical, byte for byte, to that of an uninterrupted run, except for the date in the header of a DCD file.
+    these lengths and loads the state, so that no frame is lost or duplicated. On the Reference platform and without a
+    barostat, every file is identical, byte for byte, to that of an uninterrupted run, except for the date in the header
+    of a DCD file.
 
     Parameters
     ----------
@@ -49,7 +51,7 @@ class Run:
     overwrite : bool, optional
         Whether to replace the files of an earlier run that is not resumed.
     every : float, optional
-        Seconds between two checkpoints; infinity for a single checkpoint at the end.
+        Seconds between two checkpoints; with infinity, checkpoints are written only at the start and at the end.
     settings : mapping, optional
         Values that must be the same when the run is resumed, in addition to System, integrator, platform and reporters.
 
@@ -57,7 +59,7 @@ class Run:
     ----------
     folder : path
     resuming : bool
-        Whether the run continues from a checkpoint.
+        Whether the next `advance` continues the run from a checkpoint.
     wall : float
         Wall time of the run so far in s, excluding the time lost to interruptions.
 
@@ -81,8 +83,9 @@ class Run:
         never = every == math.inf
         self._every = every if never else not_negative(every, "the time between checkpoints", "seconds")
         if settings is not None and not isinstance(settings, Mapping):
-            raise ValueError(f"settings must be a mapping from names to values, not {settings!r}")
-        self._settings = {f"setting {name}": setting_text(value) for name, value in (settings or {}).items()}
+            raise ValueError(f"settings must be a mapping from names to values, not {shown(settings)}")
+        named = {f"setting {name}": value for name, value in (settings or {}).items()}
+        self._settings = {name: setting_text(value, name) for name, value in named.items()}
         self._identity: dict[str, str] = {}
         self.folder = Path(folder)
         self._overwrite = overwrite
@@ -163,7 +166,7 @@ class Run:
         self.path(name)
         steps = whole(interval, "interval", of="steps")
         if steps >= 2**31:  # trajectories store 32 bits
-            raise ValueError(f"interval must be less than {2**31} steps, not {steps}: use a shorter interval")
+            raise ValueError(f"interval must be below {2**31} steps, not {steps}: use a shorter interval")
         self._outputs.add(reporter, name, steps)
 
     def advance(self, simulation: Any, until: int, progress: Callable[[int], object] | None = None) -> None:
@@ -299,8 +302,8 @@ class Run:
             _load(simulation, self._last)
         elif simulation.currentStep != self._last.step:
             raise ValueError(
-                f"the Simulation is at step {simulation.currentStep}, but the run is at step {self._last.step}: change "
-                "the step of the Simulation only with advance()"
+                f"the Simulation is at step {simulation.currentStep}, but the run is at step {self._last.step}: resume "
+                "the run (resume=True or --resume), and move the Simulation only with advance()"
             )
         self.resuming = False
         self._outputs.open(simulation, self._last.files, self._last.first)

@@ -19,6 +19,7 @@ from openmm_exactrb.schemes.scheme import Scheme, processed, symmetric
 from openmm_exactrb.schemes.sequence import Sequence
 from openmm_exactrb.schemes.thermostatted import WITH_THERMOSTAT
 from openmm_exactrb.substeps import DRIFT, KICK, LastForcesKick
+from openmm_exactrb.support.messages import shown
 
 _VERLET = "L. Verlet, Phys. Rev. 159, 98 (1967), doi:10.1103/PhysRev.159.98"
 _MCLACHLAN = "R. I. McLachlan, SIAM J. Sci. Comput. 16, 151 (1995), doi:10.1137/0916010"
@@ -310,7 +311,10 @@ CATALOGUE: Mapping[str, Scheme] = MappingProxyType({scheme.name: scheme for sche
 def scheme(name: str | Scheme) -> Scheme:
     """Return the scheme with a name, or a `Scheme` unchanged; raise ValueError if the name is unknown."""
     if name in [*WITH_THERMOSTAT]:
-        raise ValueError(f"scheme {name} contains a thermostat: use it with ExactRigidBodyLangevinIntegrator")
+        raise ValueError(
+            f"scheme {name} contains a thermostat: use it only with ExactRigidBodyLangevinIntegrator (exactrb run "
+            "--ensemble nvt or npt)"
+        )
     return _found(name, CATALOGUE)
 
 
@@ -335,12 +339,12 @@ def splitting(name: str | Scheme) -> Scheme:
 
 
 def _found(name: str | Scheme, schemes: Mapping[str, Scheme]) -> Scheme:
-    """Return a given scheme or a generated one; raise ValueError with the closest name if the name is unknown."""
+    """Return a given, listed or generated scheme; raise ValueError with the closest name if the name is unknown."""
     if isinstance(name, Scheme):
         return name
     if not isinstance(name, str):
         raise ValueError(
-            f'a scheme must be a name in openmm_exactrb.SCHEMES, such as "W4_4", or a Scheme, not {name!r}'
+            f'a scheme must be a name in openmm_exactrb.SCHEMES, such as "W4_4", or a Scheme, not {shown(name)}'
         )
     if name in schemes:
         return schemes[name]

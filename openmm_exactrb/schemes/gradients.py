@@ -63,11 +63,11 @@ def force_gradient(
     Raises
     ------
     ValueError
-        If the pattern is not such a palindrome, if the number of coefficients is wrong, or if the magnification is zero
-        or not finite.
+        If the pattern is not such a palindrome, if the number of coefficients is wrong, or if a number is not
+        finite or the magnification is zero.
     """
     drifts, kicks = pattern[::2], pattern[1::2]
-    if drifts[0] != "A":
+    if drifts[:1] != "A":
         drifts, kicks = kicks, drifts
     if pattern != pattern[::-1] or {*drifts} != {"A"} or not {*kicks} <= {"B", "C"} or not kicks:
         raise ValueError(
@@ -80,6 +80,8 @@ def force_gradient(
             f"scheme {name}: the length of e must be {kicks[:half].count('C')}, not {len(e)}: pass one number for "
             f"each C in the first half of {pattern!r}, including a C in the middle"
         )
+    if not all(map(math.isfinite, e)):
+        raise ValueError(f"scheme {name}: coefficients e must be finite")
     if not (math.isfinite(magnification) and magnification):
         raise ValueError(f"scheme {name}: magnification must be a finite number other than 0, not {magnification}")
     parts, displacements = palindrome(name, "b", b, len(kicks)), iter(e)

@@ -86,7 +86,7 @@ class Scheme:
 
     @property
     def first(self) -> Outer:
-        """The type of the first and last substep, apart from a thermostat."""
+        """The type of the first substep, apart from a thermostat."""
         return "drift" if [substep for substep, _ in self._moves()][:1] == [DRIFT] else "kick"
 
     @property

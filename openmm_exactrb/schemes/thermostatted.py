@@ -107,7 +107,7 @@ def proposal(scheme: Scheme, steps: int) -> Scheme:
     """
     if scheme.has(HEAT_EXCHANGE):
         raise ValueError(
-            f"scheme {scheme.name} contains a thermostat, but the scheme of proposals must not: choose a scheme such "
+            f"scheme {scheme.name} contains a thermostat, but proposals must not contain one: choose a scheme such "
             "as S2_2"
         )
     require_symmetric(scheme)

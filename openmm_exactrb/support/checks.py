@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import reprlib
 import sys
 from collections.abc import Sequence
 from itertools import chain
@@ -12,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from openmm_exactrb.support.messages import shown
 from openmm_exactrb.support.types import Array, Indices
 
 
@@ -43,14 +43,14 @@ def force_groups(value: Any) -> int:
         return int(value)
     groups: list[Any] = [*value] if _iterable(value) else [None]
     if not all(_index(group) and 0 <= group < 32 for group in groups):
-        raise ValueError(f"force groups must be a set of integers from 0 to 31, or a bit mask, not {value!r}")
+        raise ValueError(f"force groups must be a set of integers from 0 to 31, or a bit mask, not {shown(value)}")
     return sum(1 << group for group in {*map(int, groups)})
 
 
 def switch(value: Any, name: str) -> bool:
     """Return True or False; raise ValueError for anything else."""
     if not isinstance(value, bool):
-        raise ValueError(f"{name} must be True or False, not {reprlib.repr(value)}")
+        raise ValueError(f"{name} must be True or False, not {shown(value)}")
     return value
 
 
@@ -68,7 +68,7 @@ def array(value: Any, name: str, asked: str = "real numbers in rows of equal len
             given = np.frompyfunc(float, 1, 1)(given)  # fails for None, which numpy would convert to nan
         if given.dtype.kind in "biufO" and not _has_unit(value):  # numpy would drop the unit
             return given.astype(np.float64, copy=False)
-    raise ValueError(f"{name} must be {asked}, not {reprlib.repr(value)}")
+    raise ValueError(f"{name} must be {asked}, not {shown(value)}")
 
 
 def lists_of_indices(value: Any, name: str) -> list[list[int]]:
@@ -76,7 +76,7 @@ def lists_of_indices(value: Any, name: str) -> list[list[int]]:
     rows = [list(row) if _iterable(row) else None for row in value] if _iterable(value) else [None]
     fits = [row for row in rows if row is not None and all(map(_index, row))]
     if len(fits) < len(rows):
-        given = reprlib.repr(value)
+        given = shown(value)
         raise ValueError(f"{name} must be lists of particle indices, such as [[0, 1, 2], [3, 4, 5]], not {given}")
     return [list(map(int, row)) for row in fits]
 
@@ -94,9 +94,8 @@ def owners(bodies: Sequence[Sequence[int] | Indices], n_particles: int) -> Indic
     order = np.argsort(particles, kind="stable")
     for i in np.flatnonzero(np.diff(particles[order]) == 0):
         first, second = numbers[order[i : i + 2]]
-        raise ValueError(
-            f"particle {particles[order[i]]} is named twice, in bodies {first} and {second}: name each particle once"
-        )
+        where = f"in body {first}" if first == second else f"in bodies {first} and {second}"
+        raise ValueError(f"particle {particles[order[i]]} is named twice, {where}: name each particle once")
     owner[particles] = numbers
     return owner
 
@@ -120,6 +119,6 @@ def _checked(value: Any, name: str, of: str, asked: str, fits: Any) -> float:
     plain = isinstance(value, (int, float, np.number)) and not isinstance(value, (bool, np.bool_, np.complexfloating))
     huge = isinstance(value, int) and abs(value) > sys.float_info.max  # beyond the range of float64
     if not plain or huge or not math.isfinite(value) or not fits(value):
-        shown = f"a number beyond {sys.float_info.max:.2g}" if huge else repr(value)
-        raise ValueError(f"{name} must be {asked.format(f' of {of}' if of else '')}, not {shown}")
+        given = f"a number beyond {sys.float_info.max:.2g}" if huge else shown(value)
+        raise ValueError(f"{name} must be {asked.format(f' of {of}' if of else '')}, not {given}")
     return float(value)

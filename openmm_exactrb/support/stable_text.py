@@ -40,8 +40,9 @@ def stable_text(value: Any, name_of: Callable[[Any], str] = qualified_name) -> s
     Parameters
     ----------
     value : object
-        None, numbers, str, lists, mappings, numpy arrays, paths, Quantities, dataclasses, functions, classes, objects
-        that OpenMM can serialise, and integrators of this package. The text of a path includes the content of the file.
+        None, numbers, str, lists, mappings, numpy arrays, paths, Quantities, dataclasses, functions, classes, options
+        such as PME, objects that OpenMM can serialise, and integrators of this package. The text of a path includes the
+        content of the file.
     name_of : callable, optional
         Function that returns the name of a function or class.
 
@@ -50,7 +51,12 @@ def stable_text(value: Any, name_of: Callable[[Any], str] = qualified_name) -> s
     TypeError
         If the value contains any other object.
     """
-    return json.dumps(value, sort_keys=True, default=partial(_described, name_of))
+    try:
+        return json.dumps(value, sort_keys=True, default=partial(_described, name_of))
+    except TypeError as error:
+        if not str(error).startswith("keys must be"):
+            raise
+        raise TypeError("cannot contain a mapping whose keys are not text: use text as keys") from None
 
 
 def _described(name_of: Callable[[Any], str], value: Any) -> Any:
@@ -74,7 +80,10 @@ def _described(name_of: Callable[[Any], str], value: Any) -> Any:
         return {"function": name_of(value)}
     if type(value).__module__.startswith("openmm.app") and repr(value).isidentifier():  # such as PME and HBonds
         return {"option": repr(value)}
-    raise TypeError(f"cannot be {value!r}: use numbers, text, lists, mappings, arrays, or the path of a file")
+    kind = type(value).__name__
+    raise TypeError(
+        f"cannot contain an object of type {kind}: use numbers, text, lists, mappings, arrays, or the path of a file"
+    )
 
 
 def digest_of_file(path: str | os.PathLike[str]) -> str | None:

@@ -37,9 +37,10 @@ def ellipsoids(
 ) -> tuple[app.Topology, openmm.System, unit.Quantity]:
     """Build uniaxial ellipsoids in a cubic box, with the potential GB(kappa, kappa_prime, 2, 1) of Gay and Berne.
 
-    See `openmm_exactrb.potentials.GayBerne` for the formula (doi:10.1063/1.441483). The energies equal those of
-    OpenMM's GayBerneForce, whose torques are inconsistent with its energies if well depths depend on the direction
-    (OpenMM 8.6). Arguments are numbers in the units stated below, or Quantities.
+    See `openmm_exactrb.potentials.GayBerne` for the formula (doi:10.1063/1.441483). OpenMM's GayBerneForce multiplies
+    these energies by a factor that depends on kappa if x is the axis of symmetry, and its torques are inconsistent with
+    its energies if well depths depend on the direction (OpenMM 8.6). Arguments are numbers in the units stated below,
+    or Quantities.
 
     Parameters
     ----------

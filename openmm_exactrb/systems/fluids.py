@@ -17,6 +17,7 @@ from openmm_exactrb.potentials import Ewald, dipole_rod_forces, dipole_strength,
 from openmm_exactrb.potentials.boundaries import OPEN, Boundary, checked
 from openmm_exactrb.potentials.spheres import long_range_correction as correction_of
 from openmm_exactrb.support import checks
+from openmm_exactrb.support.messages import shown
 from openmm_exactrb.support.types import Array
 from openmm_exactrb.systems.lattices import cubic_lattice, filling, places_a_side
 
@@ -58,7 +59,7 @@ def rigid_sites(mass: float | unit.Quantity, inertia: ArrayLike | unit.Quantity)
     moments = checks.array(each, "inertia", "three positive moments in amu nm²")
     if moments.shape != (3,) or not (np.isfinite(moments).all() and (moments > 0.0).all()):
         raise ValueError(
-            f"inertia must be three positive moments in amu nm² (linear bodies are not supported), not {inertia!r}"
+            f"inertia must be three positive moments in amu nm² (linear bodies are not supported), not {shown(inertia)}"
         )
     mass = checks.positive(stripped(mass, unit.dalton), "mass", "amu")
     if moments.min() < _THINNEST * moments.max():
@@ -207,9 +208,13 @@ def dipole_fluid(
 
 
 def _direction_and_strength(dipole: ArrayLike) -> tuple[Array, float]:
-    vector = np.asarray([dipole_strength(d) for d in dipole] if np.iterable(dipole) else [], dtype=np.float64)
+    try:
+        parts = [*dipole]  # type: ignore[misc]
+    except TypeError:  # also for a Quantity of one number, which has __iter__
+        parts = []
+    vector = np.asarray([dipole_strength(part) for part in parts], dtype=np.float64)
     if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
-        raise ValueError(f"dipole must be a non-zero vector of three finite numbers, not {dipole!r}")
+        raise ValueError(f"dipole must be a non-zero vector of three finite numbers, not {shown(dipole)}")
     strength = float(np.linalg.norm(vector))
     return vector / strength, strength
 
@@ -366,6 +371,8 @@ def rigid_water(
     modeller.addExtraParticles(force_field)
     system = force_field.createSystem(modeller.topology, **({"rigidWater": True, "removeCMMotion": False} | options))
     if model == "tip4p2005" and system.getNumConstraints() < 3 * n:
-        raise ValueError("tip4p2005 has no force constants for bonds and angles: omit rigidWater=False, or use tip4pew")
+        raise ValueError(
+            "tip4p2005 has no force constants for bonds and angles: omit rigidWater=False, or use model='tip4pew'"
+        )
     placed = np.array(modeller.positions.value_in_unit(unit.nanometer))
     return modeller.topology, system, unit.Quantity(placed, unit.nanometer)

@@ -9,6 +9,7 @@ from openmm import app, unit
 
 from openmm_exactrb.openmm_access.units import stripped
 from openmm_exactrb.support import checks
+from openmm_exactrb.support.messages import shown
 
 _WATER = Counter({8: 1, 1: 2})  # by atomic number, so that deuterium counts as hydrogen
 
@@ -54,7 +55,7 @@ def heavy_hydrogens(
         )
     wanted = checks.positive(stripped(mass, unit.dalton), "mass", "amu")
     if not isinstance(water, bool):
-        raise ValueError(f"water must be True or False, not {water!r}")
+        raise ValueError(f"water must be True or False, not {shown(water)}")
     if topology.getNumAtoms() != system.getNumParticles():
         raise ValueError(
             f"the numbers of atoms in the Topology ({topology.getNumAtoms()}) and of particles in the System "

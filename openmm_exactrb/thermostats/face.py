@@ -62,7 +62,7 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         Raises
         ------
         ValueError
-            If no step has been performed since the bodies were last changed.
+            If no step has been performed since the bodies were last changed, or on the device.
         """
         propagator = self._up_to_date()
         if (exchange := propagator.last_exchange) is None:
@@ -89,7 +89,10 @@ class HeatedIntegrator(ThermostattedIntegrator):
     """An integrator that sums the heat that its thermostat exchanges with the bodies."""
 
     def heat(self) -> unit.Quantity:
-        """Return the energy that the thermostat has added to the bodies since the integrator was created.
+        """Return the energy that the thermostat has added to the bodies since the start of the run.
+
+        The kinetic energy that a ``CMMotionRemover`` has removed is subtracted. A loaded checkpoint or State restores
+        the energy of the earlier part of the run.
 
         Raises
         ------
@@ -106,8 +109,8 @@ class HeatedIntegrator(ThermostattedIntegrator):
         The drift and the noise of this quantity are integration errors, of the order of the scheme. In contrast,
         `totalEnergy` is the energy at the end of the step. With a scheme that ends with a drift after the heat
         exchange, such as the default, momenta lag behind positions at the end of the step. `totalEnergy` then
-        fluctuates by an amount proportional to the step size. A barostat, a ``CMMotionRemover`` and the setting of
-        positions or velocities also change the effective energy, as does setting the step size with such a scheme.
+        fluctuates by an amount proportional to the step size. A barostat and the setting of positions or velocities
+        also change the effective energy, as does setting the step size with such a scheme.
 
         Raises
         ------

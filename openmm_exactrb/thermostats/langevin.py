@@ -175,7 +175,7 @@ class ExactRigidBodyLangevinIntegrator(HeatedIntegrator):
     Friction and noise act on linear momenta and on angular momenta in the principal axes of each body. Linear molecules
     have two rotational degrees of freedom, and particles none. All other arguments and methods are those of
     `ExactRigidBodyIntegrator`. A scheme of the catalogue is applied between two halves of the Ornstein-Uhlenbeck flow.
-    Without friction, the trajectory is bit-identical to that of `ExactRigidBodyIntegrator`.
+    Without friction, the trajectory with such a scheme is bit-identical to that of `ExactRigidBodyIntegrator`.
 
     Parameters
     ----------
@@ -200,7 +200,8 @@ class ExactRigidBodyLangevinIntegrator(HeatedIntegrator):
     flexibleFriction : float or Quantity, optional
         Friction of molecules that consist of more than one body, such as a protein or a flexible molecule, in 1/ps if
         it has no unit; by default the frictions of all other bodies. This friction controls the temperature of a
-        protein at long steps without affecting the diffusion of water. Molecules are those of ``Context.getMolecules``.
+        protein at long steps without affecting the friction of water. Molecules are those of ``Context.getMolecules``,
+        and a body of ``bodies`` joins its molecules.
     bodies, fast, inner, innerSteps, forceInterval, checkDivergence : optional
         As in `ExactRigidBodyIntegrator`.
     engine : {"auto", "host", "device"}, optional

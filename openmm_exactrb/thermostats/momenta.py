@@ -53,9 +53,10 @@ class CanonicalMomenta:
         """Return the number of steps until the next draw, in OpenMM's format."""
         integrator = simulation.integrator
         if not isinstance(integrator, ExactRigidBodyIntegrator) or integrator.getThermostat() is not None:
+            with_thermostat = " with a thermostat" if type(integrator) is ExactRigidBodyIntegrator else ""
             raise ValueError(
-                "CanonicalMomenta works only with an ExactRigidBodyIntegrator without a thermostat, not with "
-                f"{type(integrator).__name__}: remove the CanonicalMomenta from simulation.reporters"
+                "CanonicalMomenta needs an ExactRigidBodyIntegrator without a thermostat, but this Simulation uses "
+                f"{type(integrator).__name__}{with_thermostat}: remove the CanonicalMomenta from simulation.reporters"
             )
         steps = self._interval - simulation.currentStep % self._interval
         return {"steps": steps, "periodic": None, "include": []}

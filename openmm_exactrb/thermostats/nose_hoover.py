@@ -216,8 +216,8 @@ class ExactRigidBodyNoseHooverIntegrator(ThermostattedIntegrator):
     `temperaturesAroundThermostat` returns the temperatures of the chains.
 
     Momenta that are all zero stay zero: draw initial momenta with `setVelocitiesToTemperature`. Checkpoints and States
-    can be loaded only with the same chain length. Small or stiff systems may not be ergodic; a harmonic oscillator with
-    a chain of one link, for example, is not.
+    can be loaded only with the same number and length of chains. Small or stiff systems may not be ergodic; a harmonic
+    oscillator with a chain of one link, for example, is not.
     """
 
     _thermostat: NoseHooverChain

@@ -145,8 +145,9 @@ def scaled(x: Array, factor: float) -> Array:
 class ExactRigidBodyRescalingIntegrator(HeatedIntegrator):
     """Rigid-body dynamics at constant temperature with little disturbance: stochastic velocity rescaling.
 
-    At every step, all momenta are multiplied by one number, such that the kinetic energy has its canonical distribution
-    (doi:10.1063/1.2408420). Unlike friction, this thermostat has little effect on diffusion and time correlations.
+    At every step, all momenta are multiplied by one number, or by two with ``together=False``, such that kinetic
+    energies have their canonical distribution (doi:10.1063/1.2408420). Unlike friction, this thermostat has little
+    effect on diffusion and time correlations.
 
     Parameters
     ----------

@@ -29,7 +29,8 @@ __all__ = ["CANDIDATES", "progress", "tune"]
 BUDGET = 120.0
 
 # Usual and smallest length of survey runs in characteristic times, and ratio of the lengths of production and survey
-# runs. For a given horizon, survey runs last a tenth of it, but at most the last number times their usual length.
+# runs. For a given horizon, survey runs last a tenth of it, but at least their usual length and at most the last number
+# times this length.
 _SURVEY, _SHORTEST, _LONGER, _LONGEST = 100.0, 30.0, 10.0, 4.0
 # Fractions of the force evaluations that the budget allows, for the survey and for production runs. Number of step
 # sizes down to the target, time per evaluation near the target in characteristic times, and number of settings that are
@@ -71,7 +72,7 @@ def tune(
     run over the whole horizon from three starts: the given start, and two others at its temperature. The promised error
     is the largest of the three errors, increased if the error depends so steeply on the step that another start may
     have a larger error. Costs are measured as in `Simulation.step`, which calls the integrator once per ten steps. If
-    the System has bonds and angles that are not constrained, schemes with ``fast="bonded"`` are tried too: those of
+    the System has bonds or angles that are not constrained, schemes with ``fast="bonded"`` are tried too: those of
     `schemes`, or `NESTED_CANDIDATES`.
 
     Parameters
@@ -105,7 +106,7 @@ def tune(
         `duration`, or less if the budget does not allow that.
     budget : float or Quantity, optional
         Processor time that may be used, in s if it has no unit; by default two minutes. If it is not sufficient for the
-        production runs, the recommendation relies on the survey alone, and the result states this.
+        production runs, the recommendation relies on fewer of them or on the survey alone, and the result states this.
     duration : float or Quantity, optional
         Length of the survey runs, in ps if it has no unit. The default is 100 divided by the root mean square frequency
         of the system (1.5 ps for water). If a tenth of a given horizon is longer, this tenth is used, up to four times
@@ -113,7 +114,7 @@ def tune(
     levels : int, optional
         Largest number of step sizes, which decrease from the largest stable one by factors of sqrt(2).
     seed : int, optional
-        Seed of the momenta.
+        Seed of the momenta and of the noise of preparations.
     report : callable, optional
         Function that is called with a line of text per run. The default writes to stderr, and None suppresses the
         output.

@@ -98,7 +98,7 @@ def schemes_named(names: str | Scheme | Sequence[str | Scheme]) -> list[Scheme]:
     """Return the schemes that a user names, without repetitions; raise ValueError for unknown or ambiguous names."""
     schemes = [look_up(name) for name in ([names] if isinstance(names, (str, Scheme)) else names)]
     if not schemes:
-        raise ValueError(f"schemes must contain at least one scheme: choose from {', '.join(CATALOGUE)}")
+        raise ValueError("schemes must contain at least one scheme: all names are in openmm_exactrb.SCHEMES")
     known: dict[str, Scheme] = {}
     for scheme in schemes:
         name = scheme.name

@@ -28,6 +28,6 @@ class Budget:
         """Raise BudgetSpentError if less than the given time is left."""
         if self.left < seconds:
             raise BudgetSpentError(
-                f"the budget of {self.seconds:g} s of processor time is spent before the first result: allow a larger "
+                f"the budget of {self.seconds:g} s of processor time was spent before the first result: use a larger "
                 "budget"
             )

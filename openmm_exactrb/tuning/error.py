@@ -13,8 +13,8 @@ _WINDOWS = (8, 4, 2, 1)
 # show how the means scatter. For independent means, the sum of the squared differences is twice that of the squared
 # residuals; for a random walk, the ratio is far smaller. The second number separates the two cases.
 _PARTS, _SCATTER = 16, 1.5
-# A slope is a drift if it exceeds this many of its standard errors. One random walk in 25 is then mistaken for a drift,
-# and few oscillations are.
+# A slope is a drift if it exceeds this many of its standard errors. About one random walk in 25, and few oscillations,
+# are then mistaken for a drift.
 _SIGNIFICANT = 4.0
 
 
@@ -24,8 +24,8 @@ def expected_error(energies: Array, interval: float, horizon: float) -> float:
     A significant drift is extrapolated linearly. The variance of the remainder within windows of 1/8, 1/4, 1/2 and all
     of the run is fitted by a power of the window length and extrapolated to the horizon. The power is kept between 0
     (the energy oscillates about a mean) and 1 (the energy is a random walk). A single run determines a random walk
-    poorly, so the contribution of the remainder is increased by up to a half. The section "How long
-    advice holds" of the documentation states how often the errors of longer runs exceed the result.
+    poorly, so the contribution of the remainder is increased by up to a half. The section "How long advice holds" of
+    the documentation states how often the errors of longer runs exceed the result.
 
     Parameters
     ----------

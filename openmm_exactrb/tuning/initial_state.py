@@ -146,7 +146,10 @@ def thermalised(state: InitialState, temperature: float, seed: int, minimised: b
     mean = float(np.mean(kinetic[-last:])) if kinetic else math.inf
     ratio = 2.0 * mean / (freedom * gas_constant_times(temperature))
     if not abs(ratio - 1.0) < _SLACK + _DEVIATIONS * math.sqrt(2.0 / (freedom * last)):
-        raise ValueError(f"the start cannot be brought to {temperature:g} K: minimise the energy of the start first")
+        raise ValueError(
+            f"the start cannot be brought to {temperature:g} K: minimise the energy of the start first, or use a "
+            "larger budget"
+        )
     return state.updated(context)
 
 

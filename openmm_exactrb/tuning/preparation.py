@@ -1,6 +1,6 @@
 """The preparation of an equilibrated start from positions, with the minimiser and integrator of this package.
 
-OpenMM's own minimiser and integrators fail for rigid molecules with redundant constraints, such as CO2 or CH4.
+OpenMM's own minimiser and integrators fail for redundant constraints, such as all distances within CO2 or CH4.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ def heat(
     """Perform Langevin dynamics for a time in ps, by default in `PARTS` parts; yield the kinetic energy after each.
 
     The step is chosen from the forces, which allows starts far from equilibrium. The step is halved if the dynamics
-    diverges because bodies collide that did not interact when the step was chosen.
+    diverges, for example because bodies collide that did not interact before.
     """
     left, least = (math.inf, 0.0) if length is None else (length, _RELAXED / (length or math.inf))
     part, halvings = 0, 0

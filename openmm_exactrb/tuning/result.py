@@ -33,8 +33,7 @@ class Choice:
     error: float
     #: Wall time in s per ps.
     cost: float
-    #: Whether this setting itself was run over the horizon, from several starts; otherwise the setting follows from the
-    #: survey.
+    #: Whether this setting itself was run over the horizon; otherwise the setting follows from the survey.
     confirmed: bool
     #: The argument `bodies` of the integrator.
     bodies: list[list[int]] | None = None
@@ -123,8 +122,8 @@ class Tuning:
     def largest_stable_step(self, method: str) -> float:
         """Return the largest step (ps) at which the energy error of a scheme is below a tenth of the kinetic energy.
 
-        The next longer step, at most 42 % longer, was unstable, or was not tried because free bodies turn by more than
-        a radian between two force evaluations at that step.
+        The next longer step, at most 42 % longer, was unstable, or was not tried because it exceeds the first step of
+        the search, at which free bodies turn by at most a radian between two force evaluations.
 
         Raises
         ------
@@ -177,7 +176,7 @@ class Tuning:
         if not points and self.floor is not None:
             return f"an error of {target:.3g} kJ/mol per body is out of reach. {self._about_floor()}"
         if not self.points:
-            return "the budget was spent before a run ended: pass a larger budget="
+            return "the budget was spent before a run ended: use a larger budget"
         if not points:
             return "no run was stable: equilibrate the start, or use forces that conserve the energy"
         least, why = min(points, key=lambda p: p.error), "not reached: the smallest found is"

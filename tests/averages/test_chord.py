@@ -201,7 +201,7 @@ def chain(n=105):
         (planar, "linear molecules with more than two"),
         (
             chain,
-            "because 104 constraints join .* of one molecule, but at most .* are supported: constrain only bonds",
+            "because 104 constraints join .* of one molecule, but at most .* are supported: create the System",
         ),
     ],
 )

@@ -248,9 +248,9 @@ def test_what_a_file_lacks_is_said(tmp_path):
     for values, slope in ((np.full(100, np.nan), None), (np.zeros(100), np.zeros(99)), (np.zeros(100), np.inf)):
         with pytest.raises(ValueError, match="one finite number for each of the 100 frames"):
             rb.corrected(file, values, slope)
-    with pytest.raises(ValueError, match=r"an AverageReporter that has around=\(particles, distance\)"):
+    with pytest.raises(ValueError, match=r"AverageReporter\(\.\.\., around=\(particles, distance\)\)"):
         rb.corrected(file, np.zeros(100), local=True)
-    with pytest.raises(ValueError, match="the pressure, which depends on all particles: omit local="):
+    with pytest.raises(ValueError, match="the pressure, a property of the whole System: omit local="):
         rb.corrected(file, "pressure", local=True)
     with pytest.raises(ValueError, match="named observable, here 'pressure': omit slope="):
         rb.corrected(file, "pressure", np.zeros(100))

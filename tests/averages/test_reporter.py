@@ -131,17 +131,17 @@ def test_names_of_observables_are_not_those_of_slopes(tmp_path):
         ),
         (
             {"around": ([], 0.5)},
-            r"the particles of around= must be a list of indices of particles, such as \[0, 1, 2\], not",
+            r"the particles of around= must be a list of particle indices, such as \[0, 1, 2\], not",
         ),
         (
             {"around": ([-1], 0.5)},
-            r"the particles of around= must be a list of indices of particles, such as \[0, 1, 2\], not",
+            r"the particles of around= must be a list of particle indices, such as \[0, 1, 2\], not",
         ),
         (
             {"around": ([0.5], 0.5)},
-            r"the particles of around= must be a list of indices of particles, such as \[0, 1, 2\], not",
+            r"the particles of around= must be a list of particle indices, such as \[0, 1, 2\], not",
         ),
-        ({"around": ([0], -1.0)}, "the distance of around must be a positive number"),
+        ({"around": ([0], -1.0)}, "the distance of around= must be a positive number"),
     ],
 )
 def test_bad_arguments_get_a_sentence(options, sentence, tmp_path):
@@ -150,7 +150,7 @@ def test_bad_arguments_get_a_sentence(options, sentence, tmp_path):
 
 
 def test_a_particle_that_the_system_has_not_is_named(tmp_path):
-    with pytest.raises(ValueError, match="the particles of around must be numbers from 0 to 2, not 3"):
+    with pytest.raises(ValueError, match="the particles of around= must be numbers from 0 to 2, not 3"):
         reported(simulation_of(ours()), tmp_path / "frames.csv", 2, around=([3], 0.5))
 
 

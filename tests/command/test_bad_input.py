@@ -5,8 +5,8 @@ import pytest
 from openmm import app, unit
 
 import openmm_exactrb as rb
-from openmm_exactrb.command.inputs import topology_of
 from openmm_exactrb.command.main import main
+from openmm_exactrb.command.topology import topology_of
 from starts import context_of
 
 CASES = [
@@ -30,16 +30,16 @@ CASES = [
     (["droplet.pdb", "--forcefield", "tip3p.xml", "--ensemble", "npt"], "needs a periodic box"),
     (
         ["droplet.pdb", "--forcefield", "amber14-all.xml", "--solvate", "9"],
-        "named after a water model, which --solvate needs: add --water",
+        "--solvate needs a water model, but no force field file is named after one: add --water",
     ),
     (["cut.pdb", "--forcefield", "tip3p.xml"], "contains no END line"),
     (["system.xml"], "pass one file (PDB .pdb or PDBx .cif), or two (system.xml and state.xml"),
     (["state.xml", "system.xml"], "contains an object of type State, not System"),
     (
         ["system.xml", "state.xml", "--forcefield", "tip3p.xml"],
-        "--forcefield and --solvate do not apply to system.xml, which already contains the solvent and the forces",
+        "neither --forcefield nor --solvate applies to system.xml, which already contains the solvent and the forces",
     ),
-    ([], "exactrb run needs molecules: pass one file"),
+    ([], "exactrb run: molecules are missing: pass one file"),
     (["--resume"], "--resume needs the files and options with which the run"),
     (["--solvate", "27", "--forcefield", "tip3p.xml"], "--cutoff must be at most half the width of the box"),
     (["system.xml", "state.xml", "--out", "cut.pdb"], "cut.pdb is a file"),
@@ -184,5 +184,5 @@ def test_molecules_that_are_interleaved_need_a_topology():
     system.addConstraint(0, 2, 0.1)
     system.addConstraint(1, 3, 0.1)
     context = context_of(system, openmm.VerletIntegrator(0.001), [openmm.Vec3(i, 0, 0) for i in range(4)])
-    with pytest.raises(ValueError, match="pass a PDB or PDBx file instead"):
+    with pytest.raises(ValueError, match="pass a PDB or PDBx file and --forcefield instead"):
         topology_of(system, context.getState(positions=True))

@@ -80,7 +80,7 @@ def test_a_topology_of_gromacs_is_read_with_its_positions_in_either_order(tmp_pa
     assert "periodic box" not in said(capsys, *files)
     files[0].write_text("\n".join(atoms[:-2]))
     assert main(["info", *map(str, files)]) == 2
-    assert "two.gro cannot be used: it is incomplete" in capsys.readouterr().err
+    assert "two.gro is incomplete, or has another format" in capsys.readouterr().err
     files[0].write_text(GRO)
     files[1].write_text(TOP.removesuffix("2\n") + "3\n")
     assert main(["info", *map(str, files)]) == 2
@@ -160,7 +160,9 @@ def test_what_is_redundant_and_what_is_refused_is_said_in_a_sentence():
     lines = list(described(*pairs_of(6, 0.0)))
     assert "and 10 constraints; 1 more are redundant, such as that of particles 3, 4" in " ".join(lines)
     assert lines[-1] == "everything is supported"
-    assert list(described(*pairs_of(6, 0.003)))[-1].startswith("not supported: the constraint of particles 3 and 4")
+    assert list(described(*pairs_of(6, 0.003)))[-1].startswith(
+        "not supported: the constraint of 0.115306 nm between particles 3 and 4"
+    )
 
 
 def test_what_acts_between_steps_is_named():

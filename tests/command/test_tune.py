@@ -33,7 +33,7 @@ def test_it_reads_what_a_run_reads(droplet, capsys):
         (["state.xml", "system.xml"], "contains an object of type State, not System"),
         (["system.xml", "nowhere.xml"], "the file nowhere.xml does not exist"),
         (["picture.xml", "state.xml"], "cannot be read as a file of openmm.XmlSerializer"),
-        ([], "exactrb tune needs molecules: pass one file"),
+        ([], "exactrb tune: molecules are missing: pass one file"),
         (["system.xml", "state.xml", "--schemes", "W4"], "did you mean 'W4_4'?"),
     ],
 )
@@ -52,5 +52,5 @@ def test_a_budget_that_allows_no_measurement_is_one_line(serialised, capsys):
     assert main(["tune", *map(str, serialised), "--budget", "1e-6", "--quiet"]) == 2
     out, errors = capsys.readouterr()
     assert out == ""
-    spent = "the budget of 1e-06 s of processor time is spent before the first result: allow a larger budget"
+    spent = "the budget of 1e-06 s of processor time was spent before the first result: use a larger budget"
     assert errors == f"exactrb tune: {spent}\n"

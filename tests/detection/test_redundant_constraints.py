@@ -177,7 +177,10 @@ def test_rounded_redundant_constraints_are_met_as_well_as_can_be():
 
 def test_redundant_constraints_that_disagree_are_named():
     system = system_of(MASSES, BENDING, PAIRS, longer={(0, 1): 1e-3})
-    with pytest.raises(ValueError, match=r"3 and 4 to 0\.115306 nm contradicts the other constraints of .* by"):
+    with pytest.raises(
+        ValueError,
+        match=r"constraint of 0\.115306 nm between particles 3 and 4 contradicts the other constraints of .* by",
+    ):
         find_bodies(system, BENDING)
 
 

@@ -182,7 +182,7 @@ def test_scheduler_that_is_not_there(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "error", "message"),
     [
-        ({"jobs": [square]}, TypeError, "jobs must be Job objects, not <function square"),
+        ({"jobs": [square]}, TypeError, "jobs must be Job objects, not the function square"),
         ({"workers": 0}, ValueError, "workers must be a whole number of at least 1, not 0"),
         ({"workers": 1, "scheduler": "tcp://node:1"}, ValueError, "scheduler= and workers= exclude each other"),
         ({"scheduler": 8786}, ConnectionError, "no dask scheduler answers at 8786"),

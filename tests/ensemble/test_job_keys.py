@@ -148,15 +148,23 @@ def test_a_function_in_a_class_has_a_name():
         (lambda: 1, {}, "module-level function"),
         ("square", {}, "module-level function"),
         (square, {"y": 1}, "missing a required argument: 'x'"),
-        (square, {"x": object()}, "argument x of a job cannot be <object"),
-        (square, {"x": {1, 2}}, "argument x of a job cannot be {1, 2}"),
+        (square, {"x": object()}, "argument x of a job cannot contain an object of type object"),
+        (square, {"x": {1, 2}}, "argument x of a job cannot contain an object of type set"),
         (Multiple(3).of, {"x": 1}, "module-level function"),
         (Other.named, {"x": 1}, "module-level function"),  # its name is Multiple.named
         (disguised, {"x": 1}, "module-level function"),
-        (square, {"x": Multiple(3).of}, "argument x of a job cannot be <bound method Multiple.of"),
+        (square, {"x": Multiple(3).of}, "argument x of a job cannot contain an object of type method"),
         (square, {"x": disguised}, "module-level function"),
-        (square, {"x": np.ma.array([1, 2], mask=[0, 1])}, "argument x of a job cannot be masked_array"),
-        (square, {"x": np.ma.array([1], mask=[1]) * unit.nanometer}, "argument x of a job cannot be masked_array"),
+        (
+            square,
+            {"x": np.ma.array([1, 2], mask=[0, 1])},
+            "argument x of a job cannot contain an object of type MaskedArray",
+        ),
+        (
+            square,
+            {"x": np.ma.array([1], mask=[1]) * unit.nanometer},
+            "argument x of a job cannot contain an object of type MaskedArray",
+        ),
     ],
 )
 def test_wrong_job(function, arguments, message):

@@ -47,7 +47,7 @@ def test_redundant_constraints_are_named():
     every = [(i, j) for i in range(5) for j in range(i)]
     with pytest.raises(ValueError, match=r"follows from the others .* 0, 1, 2, 3, 4: remove"):
         kind([12.0, 1.0, 1.0, 1.0, 1.0], every, len(every) * [0.15])
-    with pytest.raises(ValueError, match="constraint of particles 0 and 1 follows"):
+    with pytest.raises(ValueError, match="constraint between particles 0 and 1 follows"):
         kind([12.0, 1.0], [(0, 1), (1, 0)], [0.1, 0.1])
 
 
@@ -55,8 +55,8 @@ def test_redundant_constraints_are_named():
     ("masses", "pairs", "lengths", "sentence"),
     [
         ([12.0, 0.0], [(0, 1)], [0.1], "particle 1 .* has the mass 0"),
-        ([12.0, 1.0], [(0, 1)], [0.0], "particles 0 and 1 to 0 nm"),
-        ([12.0, 1.0], [(0, 1)], [np.nan], "to nan nm is invalid"),
+        ([12.0, 1.0], [(0, 1)], [0.0], "constraint of 0 nm between particles 0 and 1"),
+        ([12.0, 1.0], [(0, 1)], [np.nan], "constraint of nan nm between particles 0 and 1 is invalid"),
         ([12.0, 1.0], [(1, 1)], [0.1], "needs two different particles"),
         ((LARGEST + 2) * [1.0], [(k, k + 1) for k in range(LARGEST + 1)], (LARGEST + 1) * [0.1], "constraints=HBonds"),
     ],

@@ -26,7 +26,7 @@ PERIODIC = [rb.ReactionField, rb.Ewald]
         ({"cutoff": np.nan}, "cutoff must be a positive number of nm"),
         ({"cutoff": "1 nm"}, "cutoff must be a positive number of nm"),
         ({"switch": -0.1}, "switch must be a number of at least 0"),
-        ({"cutoff": 1.0, "switch": 1.0}, "switch must be between 0 and the cutoff of 1 nm"),
+        ({"cutoff": 1.0, "switch": 1.0}, "switch must be below the cutoff of 1 nm, not 1 nm"),
         ({"dielectric": 0.5}, "dielectric must be at least 1"),
         ({"dielectric": np.nan}, "dielectric must be a finite number"),
     ],
@@ -47,7 +47,7 @@ def test_tolerances_that_no_sum_has_are_refused(tolerance):
     ("settings", "message"),
     [
         ({"cutoff": 1.6}, "at most half the shortest edge of the box, 1.5 nm"),
-        ({"switch": 1.5}, "switch must be between 0 and the cutoff of 1.5 nm"),
+        ({"switch": 1.5}, "switch must be below the cutoff of 1.5 nm"),
     ],
 )
 def test_numbers_that_do_not_fit_the_box_are_refused(kind, settings, message):
@@ -96,7 +96,7 @@ def test_boxes_that_do_not_fit_are_refused():
     context, _ = fluid(27, kernel="compiled", **FIELD)
     context.setPeriodicBoxVectors(*np.diag([3.5, 3.6, 3.9]))
     with pytest.raises(
-        Exception, match=r"sphere_cutoff must be at most half the shortest edge .* a barostat to shrink"
+        Exception, match=r"sphere_cutoff must be at most half the shortest edge .* a barostat may shrink"
     ):
         context.getState(energy=True)
     context.setPeriodicBoxVectors([4.0, 0.0, 0.0], [0.5, 4.0, 0.0], [0.0, 0.0, 4.0])

@@ -86,7 +86,7 @@ def test_what_is_given_is_taken():
         ({"mesh": 8}, "at least order"),
         ({"cutoff": 6.0}, "cutoff must be at most half the shortest edge"),
         ({"mesh": 20, "cutoff": 2.0, "tolerance": 1e-6}, "above the tolerance"),
-        ({"method": "mesh", "tolerance": 1e-13}, "no mesh"),
+        ({"method": "mesh", "tolerance": 1e-13}, "a mesh needs a tolerance of at least"),
     ],
 )
 def test_what_cannot_be_met_gets_one_sentence(settings, message):

@@ -102,7 +102,7 @@ def test_the_topology_ends_in_centre_and_tip_as_with_every_kernel():
         ({"boundary": rb.ReactionField()}, "need boundary=Ewald"),
         (
             {"boundary": rb.Ewald(cutoff=2.0), "length": 0.6},
-            "must be below half the shortest edge of the box, 2.5 nm: use a shorter cutoff",
+            "must be below half the shortest edge of the box, 2.5 nm: use a larger box, a shorter cutoff",
         ),
         ({"boundary": rb.Ewald(cutoff=2.6)}, "at most half the shortest edge of the box"),
         ({"length": 0.0}, "length must be a positive"),

@@ -173,7 +173,7 @@ def test_a_system_that_cannot_be_serialised_is_refused(tmp_path):
 
 
 def test_an_interval_that_trajectories_cannot_store_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="interval must be less than 2147483648 steps"):
+    with pytest.raises(ValueError, match="interval must be below 2147483648 steps"):
         make(tmp_path).add_reporter(rb.EnergyReporter, "other.csv", 2**31)
 
 
@@ -184,6 +184,6 @@ def test_a_simulation_that_left_the_last_step_between_two_calls_is_refused(tmp_p
     run.advance(simulation, 20)
     before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
     leave(simulation)
-    with pytest.raises(ValueError, match=r"the Simulation is at step \d+, but the run is at step 20: change the step"):
+    with pytest.raises(ValueError, match=r"the Simulation is at step \d+, but the run is at step 20: resume the run"):
         run.advance(simulation, 40)
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before

@@ -147,12 +147,14 @@ def test_force_gradients_are_built_from_the_pattern_of_a_step():
     kicks = zip(gradient_kicks(magnified), twice.b[0:3:2], strict=True)
     displaced = [kick.strength * 8.0**2 * b**2 for kick, b in kicks]
     assert displaced == pytest.approx([0.02 / 8.0, 0.03 / 8.0], rel=1e-14)
-    for pattern in ("BACA", "BBACABB", "A", "BAXAB"):
+    for pattern in ("BACA", "BBACABB", "A", "BAXAB", ""):
         with pytest.raises(ValueError, match=f"'{pattern}' is not a palindrome"):
             force_gradient("wrong", pattern, order=2)
     for magnification in (0.0, np.nan, np.inf):
         with pytest.raises(ValueError, match="magnification must be"):
             force_gradient("wrong", "ACA", order=2, e=(0.1,), magnification=magnification)
+    with pytest.raises(ValueError, match="coefficients e must be finite"):
+        force_gradient("wrong", "ACA", order=2, e=(np.nan,))
     with pytest.raises(ValueError, match=r"the length of e must be \d, not 2: pass one number for each C"):
         force_gradient("wrong", "BACAB", order=2, b=(0.1,), e=(0.1, 0.2))
 

@@ -78,7 +78,7 @@ def test_a_text_is_a_sequence_whose_substeps_have_equal_shares():
         spelled("  ")
 
 
-@pytest.mark.parametrize("symbol", ["C", "BAOAB", "a", "B-1", "B1.5"])
+@pytest.mark.parametrize("symbol", ["C", "BAOAB", "a", "B-1", "B1.5", "B32"])
 def test_a_symbol_of_no_substep_is_refused(symbol):
     with pytest.raises(ValueError, match=f"the substep '{symbol}' is unknown"):
         spelled(f"B {symbol} B")

@@ -43,6 +43,7 @@ def test_sites_have_exactly_the_wanted_inertia(rng, planar):
         ({"dipole": (0.0, 0.0, 0.0)}, "non-zero vector"),
         ({"dipole": (1.0, 0.0)}, "three finite numbers"),
         ({"dipole": 1.0}, "three finite numbers"),
+        ({"dipole": 3.0 * unit.kelvin}, "three finite numbers"),
         ({"dipole": (1.0, 0.0, 0.0) * unit.nanometer}, "is not a dipole moment"),
         ({"inertia": (1.0, 1.0, 3.0)}, "at most the sum of the other two"),
         ({"inertia": (1.0, 1.0, 0.0)}, "three positive moments"),

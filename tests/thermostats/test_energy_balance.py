@@ -10,6 +10,7 @@ from openmm_exactrb.schemes.sequence import behind_exchange, palindromic
 from openmm_exactrb.schemes.thermostatted import with_thermostat
 from openmm_exactrb.substeps import DRIFT
 from peptides import in_water
+from starts import simulation_of
 from thermostatted import REFERENCE, droplet_of, snapshot
 
 KELVIN = 30.0
@@ -138,3 +139,24 @@ def test_drifts_behind_the_last_heat_exchange():
     assert 0.0 < found["W2_3m"][0] < 0.135
     assert behind_exchange(with_thermostat(rb.SCHEMES["S2_2"]).sequence) == ()
     assert behind_exchange(((DRIFT, 1.0),)) == ()
+
+
+@pytest.mark.parametrize("scheme", ["BAOA", "W2_3m", "BAOAB"])
+def test_the_heat_accounts_for_the_motion_that_a_remover_takes_away(scheme):
+    """Friction of 10/ps heats the centre of mass by 3 kT times 10/ps, which the remover takes away at every step."""
+    spread = {}
+    for removes in (False, True):
+        topology, system, positions = rb.rigid_water(8)
+        if removes:
+            system.addForce(openmm.CMMotionRemover())
+        integrator = rb.ExactRigidBodyLangevinIntegrator(KELVIN, 10.0, 0.001, scheme=scheme)
+        integrator.setRandomNumberSeed(2)
+        simulation = simulation_of(topology, system, integrator, positions)
+        simulation.minimizeEnergy(maxIterations=50)
+        integrator.setVelocitiesToTemperature(KELVIN, 1)
+        found = []
+        for _ in range(20):
+            simulation.step(10)
+            found.append(integrator.effectiveEnergy()._value)
+        spread[removes] = np.ptp(found)
+    assert spread[True] < 2.0 * spread[False] < 0.2 * 3.0 * 8.314e-3 * KELVIN * 10.0 * 0.2

@@ -208,7 +208,7 @@ def compiled() -> Path:
     """Return the path of the library in the user's cache, after compiling the library if it is missing."""
     path = cached()
     if not path.exists():
-        _log.warning("compiling the device engine for OpenMM %s, once, which takes some seconds", openmm.__version__)
+        _log.warning("compiling the device engine, which takes a few seconds; later processes load it from the cache")
         build(path)
     _check_owner(path)
     return path
@@ -278,7 +278,8 @@ def private_folder() -> Path:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError as error:
         raise MissingLibraryError(
-            f"the folder {folder} cannot be created ({error}): set the environment variable {CACHE} to another folder"
+            f"the folder {folder} cannot be created ({error.strerror or error}): set the environment variable {CACHE} "
+            "to another folder"
         ) from error
     _check_owner(folder)
     return folder
@@ -291,6 +292,6 @@ def _check_owner(path: Path) -> None:
     status = path.stat()
     if status.st_uid != os.getuid() or stat.S_IMODE(status.st_mode) & 0o077:  # noqa: TID251
         raise MissingLibraryError(
-            f"{path} is not loaded, because other users have access to this path: delete the file, or set the "
-            f"environment variable {CACHE} to another folder"
+            f"{path} is not used, because other users have access to it: delete it, or set the environment variable "
+            f"{CACHE} to a new folder"
         )

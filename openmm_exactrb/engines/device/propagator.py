@@ -71,7 +71,7 @@ class DevicePropagator:
     @property
     def last_exchange(self) -> tuple[State, State] | None:
         """Raise a ValueError, because the device does not store the states before and after heat exchanges."""
-        raise ValueError("momenta within a step are not available on the device: use engine='host'")
+        raise ValueError("the device engine does not store the momenta within a step: use engine='host'")
 
     @property
     def defers_inner_drifts(self) -> bool:

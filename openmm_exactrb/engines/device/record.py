@@ -87,7 +87,7 @@ def _declare(integrator: openmm.CustomIntegrator, settings: Settings) -> None:
     try:
         made = library().make()
     except MissingLibraryError as error:
-        raise ValueError(f"{error}. Alternatively, use engine='host'") from error
+        raise ValueError(f"{error}. You can use engine='host' instead") from error
     made.setStepSize(settings.h)
     made.setIntegrationForceGroups(settings.groups)
     integrator.this, made.this = made.this, integrator.this

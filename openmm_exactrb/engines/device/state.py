@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from openmm_exactrb.context import variables
 from openmm_exactrb.context.synchronisation import Synchronisation
@@ -66,12 +64,6 @@ class DeviceState(Synchronisation):
     def moved_on(self) -> None:
         """Record that the device has moved the bodies, or was restored."""
         self._behind = True
-
-    @functools.cached_property
-    def _fixed(self) -> NDArray[np.intp]:
-        """The indices of the massless particles that are not virtual sites."""
-        system = self.context.getSystem()
-        return np.array([i for i in np.flatnonzero(self.bodies.owner < 0) if not system.isVirtualSite(int(i))], np.intp)
 
     def _take(self, known: State | None, state: State, elsewhere: bool) -> None:
         """Accept a state, and write it to the device if it changed or if massless particles moved (`elsewhere`)."""

@@ -21,6 +21,7 @@ from openmm_exactrb.openmm_access.molecules import in_flexible_molecules
 from openmm_exactrb.schemes.sequence import Sequence, bound, through
 from openmm_exactrb.substeps import Drift, Substep
 from openmm_exactrb.support.types import Array
+from openmm_exactrb.thermostat import kinetic_gain
 
 #: Flows of substeps with their times (ps).
 Bound = list[tuple[Flow[State], float]]
@@ -55,10 +56,18 @@ class HostEnvironment:
         """Return the flow of heat exchange `number` of a step."""
         if self.settings.thermostat is None:
             raise ValueError(
-                f"scheme {self.settings.scheme.name} contains a thermostat, but the integrator has none: set "
-                "thermostat="
+                f"scheme {self.settings.scheme.name} contains a thermostat, but the integrator has none: pass "
+                "thermostat=, such as openmm_exactrb.thermostats.Langevin(300, 1)"
             )
         return self.settings.thermostat.flow(self, number)
+
+    def at_rest(self, state: State) -> State:
+        """Return the state after a CMMotionRemover, and subtract the kinetic energy that it removed from the heat."""
+        after = self.updates.remove_motion(self.bodies.mass, state, self.clock.number)
+        thermostat = self.settings.thermostat
+        if after is not state and thermostat is not None and thermostat.heat is not None:
+            self.numbers.present[thermostat.heat] += kinetic_gain(self.bodies, state, after)
+        return after
 
     def moved(self) -> None:
         """Mark the positions as changed since the last substep."""

@@ -2,7 +2,7 @@
 
 The propagator is created once for a Context, and bound to the settings of the integrator whenever these have changed.
 The propagator owns the state. For a processed scheme, this state remains in inner coordinates between calls, and the
-Context shows a copy transformed by the post-processor.
+Context shows a copy transformed by the scheme's output or by the post-processor.
 """
 
 from __future__ import annotations
@@ -260,7 +260,7 @@ class HostPropagator:
         """Return a state after the updates of OpenMM that follow a step."""
         if not self._updates_act:
             return state
-        state = self.updates.remove_motion(self.sync.bodies.mass, state, self._clock.number)
+        state = self.environment.at_rest(state)
         n = self.updates.due()
         if not n:
             return state

@@ -127,7 +127,7 @@ def carlson_rj(x, y, z, p):
 
 @inlined
 def rescaled(y1, y2):
-    """Return (y1, y2)/unit and unit. The unit is 1, or a power of two if fourth powers would underflow.
+    """Return (y1, y2)/unit and unit. The unit is 1, or a power of two if eighth powers would underflow.
 
     If y1 and y2 are both zero, return (0, 1) and the unit 0.
     """

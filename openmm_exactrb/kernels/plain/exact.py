@@ -18,7 +18,7 @@ An exchange of two axes is a reflection of the body, so that angles change sign 
 
 For a short step, the changes of orientation and momentum are computed, with errors proportional to these changes.
 Orientations and momenta may be double-doubles (`openmm_exactrb.mathematics.compensated`), to which the changes are
-added. A run then has no roundoff other than these errors.
+added. A run of short steps then has no roundoff other than these errors. Longer steps round to float64.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from openmm_exactrb.support.types import Array
 SHORT = 0.3
 #: The range of momenta whose squares neither overflow nor underflow.
 SAFE = (1e-70, 1e70)
-#: The size of components of a unit vector below which their eighth powers underflow.
+#: The size of components of a unit vector below which their eighth powers may underflow.
 VANISHING = 1e-36
 #: The error of S in double-doubles, relative to its terms. If S is smaller, the momentum is treated as on the
 #: separatrix.
@@ -221,7 +221,7 @@ def _rotate(
 
 
 def _rescaled(y1: Array, y2: Array) -> tuple[Array, Array, Array | float]:
-    """Return (y1, y2)/unit and unit: 1, or a power of two if fourth powers would underflow; (0, 1) and 0 for zeros."""
+    """Return (y1, y2)/unit and unit: 1, or a power of two if eighth powers would underflow; (0, 1) and 0 for zeros."""
     size = np.maximum(np.abs(y1), np.abs(y2))
     vanishing = size < VANISHING
     if not vanishing.any():

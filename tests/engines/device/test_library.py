@@ -38,7 +38,7 @@ def test_without_a_compiler_a_sentence_says_what_to_do(monkeypatch, cache):
 def test_the_folder_belongs_to_the_user_alone(cache):
     assert stat.S_IMODE(module.private_folder().stat().st_mode) == 0o700
     cache.chmod(0o755)
-    with pytest.raises(MissingLibraryError, match="other users have access to this path"):
+    with pytest.raises(MissingLibraryError, match="other users have access to it"):
         module.private_folder()
 
 
@@ -48,7 +48,7 @@ def test_what_another_user_could_have_written_is_not_loaded(cache):
     planted = module.cached()
     planted.write_bytes(b"")
     planted.chmod(0o666)
-    with pytest.raises(MissingLibraryError, match="other users have access to this path"):
+    with pytest.raises(MissingLibraryError, match="other users have access to it"):
         module.compiled()
 
 

@@ -1,5 +1,7 @@
 """Hinges and linkages: flat places are passed, singular ones are errors, and cholesterol moves in its membrane."""
 
+from functools import partial
+
 import numpy as np
 import openmm
 import pytest
@@ -64,9 +66,10 @@ def test_a_minimiser_that_loses_the_constraints_of_cholesterol_is_an_error_and_l
     )
     context.computeVirtualSites()
     before = context.getState(positions=True).getPositions(asNumpy=True)._value
-    with pytest.raises(ArithmeticError, match="remove overlaps by short steps at high friction"):
-        integrator.minimizeEnergy(maxIterations=20)
-    np.testing.assert_array_equal(context.getState(positions=True).getPositions(asNumpy=True)._value, before)
+    for minimise in (integrator.minimizeEnergy, partial(openmm.LocalEnergyMinimizer.minimize, context)):
+        with pytest.raises(ArithmeticError, match="relax them by short steps at high friction"):
+            minimise(10.0, 0)
+        np.testing.assert_array_equal(context.getState(positions=True).getPositions(asNumpy=True)._value, before)
 
 
 def test_a_hinge_passes_180_degrees_and_keeps_its_energy():
@@ -134,5 +137,5 @@ def test_a_step_onto_or_over_a_singular_place_is_an_error_and_leaves_the_state_b
 
 def test_a_start_at_a_singular_place_is_refused_by_name():
     _context, integrator = folding(0.0, 0.01)
-    with pytest.raises(ValueError, match="singular configuration, where the constraint of particles"):
+    with pytest.raises(ValueError, match="singular configuration, where the constraint between particles"):
         integrator.step(1)

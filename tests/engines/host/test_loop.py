@@ -105,5 +105,5 @@ def test_a_state_that_is_none_is_refused():
     integrator = simulation.integrator
     _, state = integrator.bodyState()
     for wrong in (state._replace(R=state.R[:, :1]), state._replace(m=np.full_like(state.m, np.nan))):
-        with pytest.raises(ValueError, match=r"pass a state that bodyState\(\) returned"):
+        with pytest.raises(ValueError, match=r"pass a state such as bodyState\(\)\[1\]"):
             integrator.setBodyState(wrong)

@@ -1,6 +1,6 @@
 // Access to positions and forces of the Context in single, mixed or double precision. OpenMM moves molecules by box
-// vectors. These functions undo this displacement. The place of an atom consists of its slot and its numbers of box
-// vectors.
+// vectors. write_position applies this displacement, and read_position undoes it. The place of an atom consists of its
+// slot and its numbers of box vectors.
 
 // Unroll a loop, so that indices are constant and the compiler can keep arrays in registers.
 #define EACH(k, n) _Pragma("unroll") for (int k = 0; k < n; k++)

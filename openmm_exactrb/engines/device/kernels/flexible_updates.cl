@@ -1,5 +1,5 @@
 // Transfer OpenMM's changes of velocities and positions between steps to the state of flexible molecules, and compute
-// the kinetic energy for the host. Atoms that OpenMM did not change keep their state to the last bit.
+// the kinetic energy. Atoms that OpenMM did not change keep their state to the last bit.
 
 // Add changes of velocities (CMMotionRemover, AndersenThermostat) to these velocities, or to the velocities of another
 // state.

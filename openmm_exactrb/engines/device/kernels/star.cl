@@ -9,8 +9,8 @@
 //
 //     x_c = (b_c - w r_c.g)/D_c,   g = sum_c x_c r_c = (1 + w K)^-1 sum_c r_c b_c/D_c,   K = sum_c r_c r_c^T/D_c,
 //
-// so that the threads of a team exchange only sums. The threads use shuffles. All threads of a warp must therefore
-// execute the same instructions until the last star of the warp is complete.
+// so that the threads of a team exchange only sums and maxima. The threads use shuffles. All threads of a warp must
+// therefore execute the same instructions until the last star of the warp is complete.
 
 #if defined(__OPENCL_VERSION__)
 #define TEAM 1
