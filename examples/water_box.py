@@ -55,8 +55,8 @@ def parse() -> argparse.Namespace:
 
 # %%
 # Two settings of the System matter as much as the integrator: without ``switchDistance``, the energy jumps when a
-# molecule crosses the cutoff, and with the default ``ewaldErrorTolerance``, forces are not exactly the negative
-# gradient of the energy.
+# molecule crosses the cutoff, and with the default ``ewaldErrorTolerance``, the electrostatic energy jumps when
+# charges cross the cutoff.
 
 
 def run(args: argparse.Namespace) -> None:

@@ -173,7 +173,7 @@ def corrected(
         raise ValueError(f"{file} contains no pressures: repeat the run with AverageReporter(..., pressure=True)")
     if local and "square around" not in columns:
         raise ValueError(
-            f"{file} contains no curvature near particles, which local=True needs: repeat the run with "
+            f"{file} was written without around=, which local=True needs: repeat the run with "
             "AverageReporter(..., around=(particles, distance))"
         )
     of = named(settings, observable) if isinstance(observable, str) else given(observable, slope, columns)

@@ -195,7 +195,8 @@ def _named(observables: Any) -> dict[str, Observable]:
         if name in READY or not plain_text or any(columns.count(column) > 1 for column in of_observable(name)):
             raise ValueError(
                 f"an observable cannot have the name {name!r}: choose a name without commas, brackets, quotation marks "
-                f"and outer spaces that is neither a column of the file nor one of {', '.join(READY)}"
+                "or spaces at its ends, other than those of the columns of the file and "
+                f"{', '.join(READY)}"
             )
     return dict(observables)
 

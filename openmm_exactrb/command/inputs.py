@@ -62,7 +62,7 @@ class Box:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the command-line arguments for files and molecules, whose values are None unless given."""
+    """Add the command-line arguments for files and molecules; options that are not given are None or empty lists."""
     positive, shown = arguments.positive, {name: f"(default: {of})" for name, of in DEFAULTS.items()}
     add = parser.add_argument_group("molecules").add_argument
     files = (
@@ -204,7 +204,8 @@ def _read(args: argparse.Namespace, force_field: app.ForceField) -> app.Modeller
     reader = _READERS[file.suffix.lower()]
     if reader is app.PDBFile and "\nEND" not in file.read_text(encoding="utf-8", errors="replace"):
         raise ValueError(
-            f"{file} contains no END line, so the file is truncated or is not a PDB file: pass a complete PDB file"
+            f"{file} contains no END line, so it may be truncated: pass a complete PDB file, or append a line END if "
+            "no atoms are missing"
         )
     content = _understood(str(file), reader, str(file))
     modeller = app.Modeller(content.topology, content.positions)

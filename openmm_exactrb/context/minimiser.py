@@ -43,8 +43,8 @@ def minimise_by_integrators(kind: type[Any]) -> None:
             return
         if reporter is not None:
             raise ValueError(
-                "reporter= is not supported for bodies given in bodies=, or for constraints that follow from "
-                "others: omit reporter="
+                "reporter= is not supported for bodies given in bodies=, for redundant constraints, or for molecules "
+                "that the periodic box has split: omit reporter="
             )
         integrator.minimizeEnergy(tolerance, maxIterations)
 

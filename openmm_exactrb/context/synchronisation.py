@@ -39,7 +39,7 @@ class Positions:
 
     The object does not keep the Context alive. Every change of positions, box or parameters increases `version`, so
     that results of earlier versions are recomputed. The array x (n_particles, 3) contains the positions of all
-    particles. Positions of particles in bodies are overwritten.
+    particles. In this array, `placed` replaces the positions of particles in bodies.
     """
 
     def __init__(self, context: Any, bodies: RigidBodies, x: Array) -> None:

@@ -74,7 +74,7 @@ def on_constraints(particles: Indices, masses: Array, distances: Array, position
     if bad.any():
         raise ValueError(
             f"the constraints between particles {listed(particles[np.argmax(bad)])} cannot be satisfied from these "
-            "positions: set positions whose distances are close to the constraints"
+            "positions: set positions close to the constrained distances"
         )
     whole = positions.copy()
     whole[particles] = X

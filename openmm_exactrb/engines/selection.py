@@ -90,5 +90,5 @@ def _serving(engines: Sequence[Engine], unsupported: Callable[[Engine], str | No
     answers = [(engine, unsupported(engine)) for engine in engines]
     serving, reasons = [engine for engine, why in answers if not why], [why for _, why in answers if why]
     if not serving:
-        raise ValueError(f"{reasons[0]}. You can use engine={in_order()[-1].name!r} instead")
+        raise ValueError(f"{reasons[0]}: use engine={in_order()[-1].name!r} instead")
     return serving, reasons

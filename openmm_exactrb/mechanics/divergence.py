@@ -119,7 +119,8 @@ class DivergenceCheck:
     def of_inner_steps(self, bodies: RigidBodies) -> Callable[[State], None]:
         """Return a check of selected bodies after inner steps.
 
-        The check is needed because an outer step that is far too long has thousands of inner steps.
+        Without this check, a divergence would be detected only at the end of the outer step, which has thousands of
+        inner steps if it is far too long.
         """
         half_mass, half_inertia = 0.5 / bodies.mass, 0.5 / bodies.inertia.T
 
@@ -246,8 +247,8 @@ class Overheating:
                 self._told = True
                 warn(
                     f"averaged over {duration:.3g} ps, the temperature of the {name} is {100.0 * excess:.0f} % above "
-                    "that of the thermostat, more than the friction explains: use a smaller step size, or a higher "
-                    "friction",
+                    "that of the thermostat, more than statistical errors explain: use a smaller step size, or a "
+                    "higher friction",
                     StepSizeWarning,
                 )
                 return

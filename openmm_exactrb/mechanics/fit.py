@@ -214,5 +214,5 @@ def _put_on_constraints(bodies: RigidBodies, R: Array, P: Array, chosen: Indices
     if bad.any():
         raise ValueError(
             f"the constraints of {bodies.name(int(first[np.argmax(bad)]))} cannot be satisfied from these positions: "
-            "set positions whose distances are close to the constraints"
+            "set positions close to the constrained distances"
         )

@@ -64,8 +64,8 @@ def separate_bonded(system: openmm.System) -> int:
     """
     if not isinstance(system, openmm.System):
         raise ValueError(
-            f"separate_bonded() takes an openmm.System, not {type(system).__name__}: call it before you create a "
-            "Simulation"
+            f"separate_bonded() takes an openmm.System, not {type(system).__name__}: pass the System, before you "
+            "create a Simulation with it"
         )
     others = {
         group for force in system.getForces() if not isinstance(force, BONDED_FORCES) for group in groups_of(force)

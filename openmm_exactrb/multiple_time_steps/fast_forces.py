@@ -71,7 +71,8 @@ class MultipleTimeSteps:
         scheme = None if inner is None else look_up(inner)
         if scheme is not None and ({substep for substep, _ in scheme.sequence} != {DRIFT, KICK} or scheme.processor):
             raise ValueError(
-                f"the inner scheme {scheme.name} must consist only of drifts and kicks: choose a scheme such as S2_2"
+                f"the inner scheme {scheme.name} must consist only of drifts and kicks, without a processor: choose a "
+                "scheme such as S2_2"
             )
         if steps is not None:
             steps = whole(steps, "innerSteps")

@@ -92,7 +92,7 @@ def ellipsoids(
     sigma = checks.positive(stripped(sigma, unit.nanometer), "sigma", "nm")
     epsilon = checks.positive(stripped(epsilon, unit.kilojoule_per_mole), "epsilon", "kJ/mol")
     density = 0.9 / (kappa * sigma**3) if density is None else stripped(density, unit.nanometer**-3)
-    box = float((n / checks.positive(density, "density", "ellipsoids a nm³")) ** (1.0 / 3.0))
+    box = float((n / checks.positive(density, "density", "ellipsoids per nm³")) ** (1.0 / 3.0))
     cutoff, switch = _truncation(stripped(cutoff, unit.nanometer), stripped(switch, unit.nanometer), kappa, sigma)
     if cutoff > 0.5 * box:
         raise ValueError(

@@ -243,7 +243,7 @@ def _box(n: int, sigma: float, density: float | None, trap: float, boundary: Bou
         if density is not None:
             raise ValueError("density needs a periodic box: add boundary=ReactionField() or boundary=Ewald()")
         return None
-    density = 0.8 / sigma**3 if density is None else checks.positive(density, "density", "spheres a nm³")
+    density = 0.8 / sigma**3 if density is None else checks.positive(density, "density", "spheres per nm³")
     if trap > 0.0:
         raise ValueError("trap= applies only to a droplet, not to a periodic liquid: omit trap=")
     return float((n / density) ** (1.0 / 3.0))

@@ -174,8 +174,8 @@ class ExactRigidBodyLangevinIntegrator(HeatedIntegrator):
 
     Friction and noise act on linear momenta and on angular momenta in the principal axes of each body. Linear molecules
     have two rotational degrees of freedom, and particles none. All other arguments and methods are those of
-    `ExactRigidBodyIntegrator`. A scheme of the catalogue is applied between two halves of the Ornstein-Uhlenbeck flow.
-    Without friction, the trajectory with such a scheme is bit-identical to that of `ExactRigidBodyIntegrator`.
+    `ExactRigidBodyIntegrator`. A scheme without a thermostat is applied between two halves of the Ornstein-Uhlenbeck
+    flow. Without friction, the trajectory with such a scheme is bit-identical to that of `ExactRigidBodyIntegrator`.
 
     Parameters
     ----------

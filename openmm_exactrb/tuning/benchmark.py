@@ -206,7 +206,7 @@ class Benchmark:
 
     @functools.cached_property
     def nests(self) -> bool:
-        """Whether there are bonded forces that can be nested, and other forces."""
+        """Whether the System contains both bonded forces that can have inner steps and other forces."""
         integrator, _context = self.state.probe(fast="bonded")
         try:
             integrator.bodyState()

@@ -1,4 +1,4 @@
-"""Settings that limit the energy error of every integrator, because the forces are not the gradient of the energy."""
+"""Settings that limit the energy error of every integrator, because the energy or the force jumps at the cutoff."""
 
 from __future__ import annotations
 

@@ -147,7 +147,7 @@ def thermalised(state: InitialState, temperature: float, seed: int, minimised: b
     ratio = 2.0 * mean / (freedom * gas_constant_times(temperature))
     if not abs(ratio - 1.0) < _SLACK + _DEVIATIONS * math.sqrt(2.0 / (freedom * last)):
         raise ValueError(
-            f"the start cannot be brought to {temperature:g} K: minimise the energy of the start first, or use a "
+            f"{temperature:g} K was not reached from the given start: pass the State of an equilibrated run, or use a "
             "larger budget"
         )
     return state.updated(context)
@@ -170,8 +170,7 @@ def others(state: InitialState, number: int, seed: int) -> list[InitialState]:
                 done.append(next(heat(integrator, context)))
         if not done:
             raise ValueError(
-                f"every short run at {temperature:.0f} K that begins at the given start diverges: minimise the energy "
-                "of the start first"
+                f"every short run at {temperature:.0f} K from the given start diverges: minimise its energy first"
             )
         states.append(state.updated(context))
     return states

@@ -79,7 +79,7 @@ def test_figures_of_the_protein_tutorial_are_those_of_the_records():
     for row in tables.populations().splitlines()[2:]:
         assert row.split("|")[4].strip() in tutorial
     (villin,) = [row for row in tables.villin_steps().splitlines() if "| `W2_3m` |" in row]
-    assert f"Villin in water has {villin.split('|')[8].strip()} K, the mean of nine runs" in tutorial
+    assert f"The temperature of villin in water is {villin.split('|')[8].strip()} K, the mean of nine runs" in tutorial
     assert villin.split("|")[4].strip() == "9 x 100 ps"
     for integrator, fs in (("W2_3m", "8.0"), ("W2_3m", "4.0"), ("LangevinMiddle", "2.0")):
         runs = tables.rows("protein_steps")

@@ -160,7 +160,7 @@ def test_a_temperature_that_is_not_reached_is_reported():
         outwards.addParticle(i)
     system.addForce(outwards)
     x = positions._value + np.array([0.5, 0.0, 0.0])
-    with pytest.raises(ValueError, match="cannot be brought to 300 K"):
+    with pytest.raises(ValueError, match="300 K was not reached from the given start"):
         thermalised(at_rest(system, x), 300.0, 1, False, PLENTY)
 
 

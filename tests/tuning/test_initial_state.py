@@ -162,5 +162,5 @@ def test_a_start_that_leads_to_no_other_one_is_refused():
     force.addParticle(0)
     system.addForce(force)
     begin, _ = initial_state(system, np.zeros((1, 3)), np.full((1, 3), 0.3), "Reference")
-    with pytest.raises(ValueError, match=r"every short run at .* K that begins at the given start diverges: minimise"):
+    with pytest.raises(ValueError, match=r"every short run at .* K from the given start diverges: minimise"):
         others(begin, 2, 0)
