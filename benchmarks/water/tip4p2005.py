@@ -1,13 +1,16 @@
-"""Density and enthalpy of TIP4P/2005 at 1 bar as functions of the step: a picture and tables of two records.
+"""Density and enthalpy of TIP4P/2005 at 1 bar as functions of the step: a picture and tables of three records.
 
-The runs are those of equipartition.py, 216 molecules at constant pressure: docs/equipartition.csv contains runs at
-298.15 K, and docs/water_densities.csv runs at another temperature and with other integrators. The enthalpy is computed
+The runs are those of equipartition.py at constant pressure. With 216 molecules, docs/equipartition.csv contains runs at
+298.15 K, and docs/water_densities.csv runs at another temperature and with other integrators.
+docs/water_densities_512.csv contains runs of 512 molecules. The enthalpy is computed
 as a user would: the sum of the potential energy, the kinetic energy of the velocities of a State, and the product of
 pressure and volume. Corrections for the step are those of corrected_water.py.
 
     python benchmarks/water/equipartition.py --models tip4p2005 --ensembles NPT --record docs/water_densities.csv
     python benchmarks/water/equipartition.py --models tip4p2005 --ensembles NPT --record docs/water_densities.csv \
         --methods hybrid --intervals 4 --kelvin 277.15
+    python benchmarks/water/equipartition.py --models tip4p2005 --ensembles NPT --record docs/water_densities_512.csv \
+        --methods W2_3m --intervals 4 --molecules 512
     python benchmarks/water/tip4p2005.py
 """
 
@@ -26,6 +29,8 @@ from benchmarks.water import corrected_water
 from benchmarks.water.corrected_water import BAR, MOLAR_MASS
 from benchmarks.water.equipartition_record import AGAIN, FRICTION, KELVIN, LFM, RECORD, mean_and_error, read
 
+LARGER = DOCS / "water_densities_512.csv"
+MOLECULES = 216  # in the other records
 STEPS = (0.5, 1.0, 2.0, 4.0)  # fs per force evaluation
 QUANTITIES = {"density": ("density (kg/m³)", 1), "enthalpy": ("enthalpy (kJ/mol per molecule)", 2)}
 ROWS = {
@@ -34,6 +39,7 @@ ROWS = {
     "NoseHoover": "`NoseHooverIntegrator`",
     "NoseHoover/W2_3m": "Nosé-Hoover chains, `W2_3m`",
     "W2_3m": "`W2_3m`",
+    "W2_3m, 512": "`W2_3m`, 512 molecules",
     "hybrid": "hybrid Monte Carlo",
 }
 LINES = {LFM: ("#D55E00", "o"), "BAOAB": ("#009E73", "v"), "W2_3m": ("#0072B2", "D")}
@@ -51,8 +57,9 @@ def measured() -> Found:
     groups: dict[tuple[float, str, float], list[dict[str, float]]] = defaultdict(list)
     newer = read(AGAIN)
     again = {(run.kelvin, run.method, run.interval) for run in newer}
-    for run, means in {**read(RECORD), **newer}.items():
-        point = run.kelvin, run.method, run.interval
+    for run, means in {**read(RECORD), **newer, **read(LARGER)}.items():
+        method = run.method if run.molecules == MOLECULES else f"{run.method}, {run.molecules}"
+        point = run.kelvin, method, run.interval
         if (run.model, run.ensemble) != ("tip4p2005", "NPT") or run.friction not in (FRICTION, 1.0):
             continue
         if run in newer or point not in again:

@@ -9,7 +9,9 @@ from openmm import app, unit
 
 _HYDROGEN = 1.008  # amu
 _HEAVIEST = 4.5  # the largest mass of a hydrogen, in amu, in Systems with heavy hydrogens
-_CLOSE = 0.1  # largest difference, in amu, between the mass of a particle and that of its element
+# The largest difference in amu between the mass of a particle and that of its element, and this difference as a part of
+# the mass. United atoms have no element.
+_CLOSE, _CLOSE_PART = 0.01, 1e-3
 
 
 def topology_of(system: openmm.System, state: openmm.State) -> app.Topology:
@@ -46,23 +48,23 @@ def topology_of(system: openmm.System, state: openmm.State) -> app.Topology:
 def elements_of(system: openmm.System) -> list[app.Element | None]:
     """Return the element of each particle, or None if no element has a similar mass.
 
-    Light particles with a bond to one heavier particle are hydrogens, if the other particle has the mass of an element
-    together with the mass by which its hydrogens are too heavy; see `openmm_exactrb.heavy_hydrogens`.
+    Light particles of equal mass that are bonded to one other particle, and to no others except each other, are
+    hydrogens if the other particle has the mass of an element after their excess mass is returned to it; see
+    `openmm_exactrb.heavy_hydrogens`. Deuterium is recognised by its mass.
     """
     masses = [system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())]
-    heavier = defaultdict(set)
-    for pair in _bonds(system):
-        light, heavy = sorted(pair, key=masses.__getitem__)
-        if 0.0 < masses[light] < min(_HEAVIEST, masses[heavy]):
-            heavier[light].add(heavy)
-    hydrogens = defaultdict(list)
-    for light, (heavy, *others) in heavier.items():
-        if not others:
-            hydrogens[heavy].append(light)
+    partners = defaultdict(set)
+    for i, j in _bonds(system):
+        partners[i].add(j)
+        partners[j].add(i)
     elements = [_element(mass) for mass in masses]
-    for heavy, own in hydrogens.items():
+    for heavy, bonded in partners.items():
+        own = [i for i in bonded if 0.0 < masses[i] < _HEAVIEST and partners[i] <= bonded | {heavy}]
+        deuterated = elements[heavy] is not None and all(elements[i] == app.element.deuterium for i in own)
+        if len({masses[i] for i in own}) != 1 or deuterated:
+            continue
         original = _element(masses[heavy] + sum(masses[i] - _HYDROGEN for i in own))
-        if original is not None:
+        if original is not None and original.mass > app.element.helium.mass:
             elements[heavy] = original
             for i in own:
                 elements[i] = app.element.hydrogen
@@ -71,10 +73,9 @@ def elements_of(system: openmm.System) -> list[app.Element | None]:
 
 def _element(mass: float) -> app.Element | None:
     """Return the element of a mass in amu, or None if no element has a similar mass."""
-    if mass == 0.0:
-        return None
-    element = app.Element.getByMass(mass)
-    return element if abs(element.mass.value_in_unit(unit.dalton) - mass) < _CLOSE else None
+    element = app.Element.getByMass(mass) if mass > 0.0 else None
+    close = max(_CLOSE, _CLOSE_PART * mass)
+    return element if element is not None and abs(element.mass.value_in_unit(unit.dalton) - mass) < close else None
 
 
 def _symbol(system: openmm.System, particle: int, element: app.Element | None) -> str:

@@ -178,7 +178,7 @@ class Tuning:
         if not self.points:
             return "the budget was spent before a run ended: use a larger budget"
         if not points:
-            return "no run was stable: equilibrate the start, or use forces that conserve the energy"
+            return "no run was stable: equilibrate the start, pass a larger budget, or use energy-conserving forces"
         least, why = min(points, key=lambda p: p.error), "not reached: the smallest found is"
         failed = [p for p in points if p.duration >= self.horizon and p.error > target]
         if least.error <= target and failed:

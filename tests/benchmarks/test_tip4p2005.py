@@ -29,6 +29,12 @@ def test_runs_in_the_cold_have_the_length_that_the_page_says(page, method):
     assert f"{sum(cold):.0f} ps at 277.15 K" in page
 
 
+@pytest.mark.parametrize("kelvin", [KELVIN, 277.15])
+def test_the_density_of_more_molecules_is_higher(page, kelvin):
+    (larger, error), (smaller, other) = (measured()[kelvin, name, 4.0]["density"] for name in ("W2_3m, 512", "W2_3m"))
+    assert f"{with_error(larger - smaller, math.hypot(error, other), 1)} kg/m³ ({kelvin:.0f} K)" in page
+
+
 @pytest.mark.parametrize("fs", [2.0, 4.0])
 def test_velocities_at_the_ends_of_steps_are_too_slow(page, fs):
     kelvin, error = of_runs("BAOAB", fs, lambda m: m["T_tr"] + 0.5 * m["T_rot - T_tr"])

@@ -1,5 +1,7 @@
 """A Topology made from a System: its elements, its box, and what ``exactrb info`` says about the box."""
 
+import itertools
+
 import numpy as np
 import openmm
 import pytest
@@ -30,6 +32,34 @@ def test_water_with_heavy_hydrogens_is_water(model):
     assert [residue.name for residue in residues] == ["HOH"] * 8
     expected = [atom.element for atom in next(own.residues()).atoms()]
     assert [atom.element for atom in residues[3].atoms()] == expected
+
+
+@pytest.mark.parametrize("light", [1.008, 1.5, 2.0, 2.014, 3.0, 4.0])
+@pytest.mark.parametrize(("heavy", "number"), [("C", 1), ("C", 2), ("C", 3), ("C", 4), ("N", 2), ("N", 4), ("O", 2)])
+@pytest.mark.parametrize("joined", [False, True], ids=["bonds", "all distances"])
+def test_groups_of_hydrogens_or_deuterium_beside_a_carbon(heavy, number, light, joined):
+    """With 4 amu, the carbon of a methyl group is lighter than its hydrogens."""
+    deuterated = light == 2.014
+    own = app.Element.getBySymbol(heavy).mass._value - (0.0 if deuterated else number * (light - 1.008))
+    if own <= 0.0:
+        pytest.skip("no mass is left")
+    system = system_of([12.011, own, *[light] * number])
+    pairs = [(0, 1), *((1, 2 + i) for i in range(number))]
+    if joined:
+        pairs += itertools.combinations(range(2, 2 + number), 2)
+    for pair in pairs:
+        system.addConstraint(*pair, 0.1)
+    expected = ["C", heavy, *["D" if deuterated else "H"] * number]
+    assert [element.symbol for element in elements_of(system)] == expected
+
+
+def test_united_atoms_and_beads_have_no_element():
+    assert elements_of(system_of([0.01, 0.3, 1.0, 13.019, 14.027, 15.035, 16.043, 36.0, 54.0, 72.0])) == [
+        None,
+        None,
+        app.element.hydrogen,
+        *[None] * 7,
+    ]
 
 
 def test_masses_of_no_element_and_of_deuterium_stay_as_they_are():
