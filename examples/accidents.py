@@ -54,8 +54,8 @@ print("the same bytes:", resumed == undisturbed)
 
 # %%
 # On the Reference platform, as here, the files of both runs are identical byte for byte, except for the date in the DCD
-# file. On other platforms, the resumed run continues from the same state, but then differs as much as two runs whose
-# forces are summed in different orders. If a checkpoint is damaged or belongs to another run, an error with a message
+# file. On other platforms, the resumed run continues from the same state, but then diverges from the other run, because
+# forces are summed in a different order. If a checkpoint is damaged or belongs to another run, an error with a message
 # of one line is raised, and no file is changed. ``tests/runs/test_accidents.py`` kills real runs at random moments.
 
 

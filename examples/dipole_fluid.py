@@ -3,13 +3,13 @@ A droplet of dipoles
 ====================
 
 The splitting with exact free rotation was first published for this system: soft spheres with point dipoles, which repel
-each other as :math:`1/r^{12}`. OpenMM computes the forces, and the free rotation is exact. The script writes a
+each other as :math:`1/r^{12}`. A kernel of this package, or OpenMM on a GPU, computes the forces. The script writes a
 trajectory (DCD, with its topology as PDB), the energies (CSV, every digit of float64) and a picture of the energy
 error, and prints the cost of the run.
 
-With ``--compare`` the script makes two runs from the same start with the same number of force evaluations: one with the
-exact rotation and a scheme of order 4, the other with the usual combination of velocity Verlet and the McLachlan-Reich
-rotation. This page shows ``python examples/dipole_fluid.py -n 64 --duration 6 --compare``.
+With ``--compare`` the script makes two runs from the same initial state with the same number of force evaluations: one
+with the exact rotation and a scheme of order 4, the other with the usual combination of velocity Verlet and the
+McLachlan-Reich rotation. This page shows ``python examples/dipole_fluid.py -n 64 --duration 6 --compare``.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def main() -> None:
             rb.Run.from_options(args, "compare")  # raises an error before any simulation is run
         runs = [simulate(args, args.scheme, args.rotor, args.step)]
         if args.compare:
-            # The same start and the same number of force evaluations.
+            # The same initial state and the same number of force evaluations.
             h = args.step / rb.SCHEMES[args.scheme].forces
             runs.append(simulate(args, "V2", "mclachlan_reich", h, "compare"))
     except (ValueError, ArithmeticError, OSError, openmm.OpenMMException) as error:
@@ -91,8 +91,8 @@ class Parser(argparse.ArgumentParser):
 
 def parse() -> argparse.Namespace:
     parser = Parser(
-        description="A droplet of soft dipolar spheres: OpenMM computes the forces, the rotation is exact. After "
-        "Ctrl-C, a kill or a full disk the same command with --resume goes on.",
+        description="A droplet of soft dipolar spheres, with forces by a compiled kernel and exact rotation. After "
+        "Ctrl-C, a kill or a full disk, the same command with --resume continues the run.",
         epilog="Units are OpenMM's: amu, nm, ps, kJ/mol; with sigma = epsilon = m = 1 they are the reduced units of "
         "the paper.",
     )
@@ -248,7 +248,7 @@ def draw(runs: list[Outcome], file: Path) -> None:
 # rotation costs little.
 #
 # ``--paper`` starts from the lattice of the paper, which is compressed, so that the spheres fly apart. With
-# ``boundary=rb.ReactionField()`` :func:`openmm_exactrb.dipole_fluid` creates a liquid in a periodic box.
+# ``boundary=rb.ReactionField()``, :func:`openmm_exactrb.dipole_fluid` creates a liquid in a periodic box.
 
 if __name__ == "__main__":
     main()

@@ -9,7 +9,7 @@ temperatures. Because the temperatures with and without these components fluctua
 6 ps is sufficient.
 
 Runs of 1 ns show the remaining error, which is the error of the splitting. With a force evaluation every 6 fs, rotation
-and translation of SPC/E differ by 3.1 ± 0.3 K after this projection, and by 0.0 ± 0.3 K with the scheme ``W2_3m`` of
+of SPC/E is 3.1 ± 0.3 K hotter than translation after this projection, and 0.0 ± 0.3 K with the scheme ``W2_3m`` of
 ``ExactRigidBodyLangevinIntegrator``. :doc:`/explanation/temperature` describes these measurements.
 """
 

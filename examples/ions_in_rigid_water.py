@@ -82,8 +82,8 @@ def run(args: argparse.Namespace) -> None:
 
 
 # %%
-# After a minimisation, half of the kinetic energy becomes potential energy. The momenta are therefore drawn several
-# times, until translation and rotation have the desired temperature.
+# After a minimisation, half of the initial kinetic energy becomes potential energy. The momenta are therefore drawn
+# several times, until translation and rotation have the desired temperature.
 
 
 def equilibrate(simulation: app.Simulation, times: int = 20) -> None:

@@ -3,7 +3,7 @@ Where the potential is small
 ============================
 
 If the torques are weak, a body rotates almost freely, and the exact flow describes most of the motion. Schemes for this
-case have a very small error to first order in the potential, and require an exact free flow.
+case have very small error terms of first order in the potential, and require an exact free flow.
 
 This example measures the median over 20 heavy tops of the largest relative energy error over 50 units of time, for a
 potential energy that is 1/1000 of the kinetic energy.
@@ -22,7 +22,7 @@ inertia = np.stack([np.ones(n), middle, middle + rng.uniform(0.0, 1.0, n)], axis
 vertical = rng.standard_normal((n, 3))
 vertical /= np.linalg.norm(vertical, axis=1, keepdims=True)
 q0 = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
-m0 = np.sqrt(2.0 * inertia * rng.dirichlet(np.ones(3), n))  # of the kinetic energy 1
+m0 = np.sqrt(2.0 * inertia * rng.dirichlet(np.ones(3), n))  # with kinetic energy 1
 
 
 def seen(q):

@@ -31,8 +31,8 @@ PEPTIDE = Path(sys.argv[0]).resolve().parent / "data" / "alanine_dipeptide.pdb"
 
 
 # %%
-# One line is specific to this package. Because the nonbonded forces are evaluated every 4 fs, bonded forces have inner
-# steps.
+# One line is specific to this package. Because the nonbonded forces are evaluated only every 4 fs, bonded forces are
+# integrated with inner steps.
 
 
 def nve() -> rb.ExactRigidBodyIntegrator:
@@ -41,7 +41,7 @@ def nve() -> rb.ExactRigidBodyIntegrator:
 
 # %%
 # The force field and the System are created as in an ordinary OpenMM script. Water molecules are rigid bodies;
-# constrained groups of the peptide, such as CH\ :sub:`3`, move along their constraints without any tolerance.
+# constrained groups of the peptide, such as CH\ :sub:`3`, satisfy their constraints to roundoff.
 
 
 def run(args: argparse.Namespace) -> None:
@@ -107,8 +107,8 @@ def draw(table: np.ndarray, file: Path) -> None:
 
 
 # %%
-# The number of bonded evaluations per step follows from the fastest bond or angle; ``inner`` and ``innerSteps``
-# override it.
+# The number of bonded evaluations per step follows from the fastest bond or angle vibration; ``inner`` and
+# ``innerSteps`` override it.
 
 
 def main() -> None:

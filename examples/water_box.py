@@ -3,9 +3,9 @@ A box of rigid water
 ====================
 
 This is an ordinary OpenMM script, with a force field, PME, a Simulation and a DCDReporter. Only the line that creates
-the integrator is different. The script simulates the same box from the same start once with OpenMM's
-``VerletIntegrator`` and once with :class:`openmm_exactrb.ExactRigidBodyIntegrator`, both with one force evaluation
-every 2 fs. It writes a trajectory (DCD with its topology as PDB), the energies and a picture of the energy error. After
+the integrator is different. The script simulates a box twice from the same initial state, with OpenMM's
+``VerletIntegrator`` and with :class:`openmm_exactrb.ExactRigidBodyIntegrator`, both with one force evaluation every 2
+fs. It writes a trajectory (DCD with its topology as PDB), the energies and a picture of the energy error. After
 an interruption, the same command with ``--resume`` continues the run.
 
 This page shows ``python examples/water_box.py --duration 2``.

@@ -32,9 +32,8 @@ def dielectric_constant(
         eps = (1 + (Q + 2) x)/(1 + (Q - 1) x).
 
     The formula holds for every dipole interaction in which a uniform polarisation produces the reaction field of these
-    surroundings (Neumann, Mol. Phys. 50, 841 (1983)). In conducting surroundings (an Ewald sum, or a reaction field
-    with infinite dielectric constant) the formula reduces to eps = 1 + 3 x, and without a reaction field to the
-    Clausius-Mossotti formula.
+    surroundings (Neumann, Mol. Phys. 50, 841 (1983)). In conducting surroundings (an Ewald sum or a reaction field
+    with dielectric=inf) the formula reduces to eps = 1 + 3 x, and with eps' = 1 to the Clausius-Mossotti formula.
 
     Parameters
     ----------

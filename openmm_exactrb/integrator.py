@@ -55,8 +55,8 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         define the shapes. Forces within these bodies only add a constant to the energy.
     fast : {"auto", "bonded"} or sequence of int, optional
         Forces that are integrated with inner steps within the drifts. "bonded" selects bonds, angles, torsions and
-        pairs three bonds apart; a sequence selects force groups by number. The other forces, which determine the cost,
-        are evaluated as often as without inner steps. "auto" selects bonded forces if the time between force
+        pairs three bonds apart; a sequence selects force groups by number. The other forces, which usually determine
+        the cost, are evaluated as often as without inner steps. "auto" selects bonded forces if the time between force
         evaluations exceeds a sixteenth of the shortest period of bonds and angles. None means no inner steps.
     inner : str or Scheme, optional
         Scheme of the inner steps; by default S2_2, or SRKN4_6b if the scheme has an order above 2 or force gradients.
@@ -67,7 +67,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     engine : {"auto", "host", "device"}, optional
         Where steps are performed. "host" means the CPU. "device" means the device of the Platform, with kernels for
         CUDA, HIP and OpenCL (see "On a GPU" in the documentation). "auto" means the device if it is a GPU and the
-        device engine supports the System (see `engineNote`).
+        device engine supports the System and the settings (see `engineNote`).
     thermostat : Thermostat, optional
         A thermostat of `openmm_exactrb.thermostats` or your own. With a thermostat, the scheme may also be a key of
         `openmm_exactrb.schemes.WITH_THERMOSTAT`. None means constant energy.

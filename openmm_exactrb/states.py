@@ -15,9 +15,9 @@ from openmm_exactrb.openmm_access import arrays
 def loadState(target: app.Simulation | openmm.Context, source: str | os.PathLike[str] | openmm.State) -> None:
     """Load a State that was saved with another integrator.
 
-    A State contains data of its integrator. OpenMM's ``simulation.loadState(file)`` and ``context.setState(state)``
-    fail if the new integrator cannot read these data, for example with "Unknown property 'version'" if only the new
-    integrator is a CustomIntegrator, as those of this package are. This function ignores these data.
+    A State from ``simulation.saveState`` contains data of its integrator. OpenMM's ``simulation.loadState(file)`` and
+    ``context.setState(state)`` fail if the new integrator cannot read these data, for example with "Unknown property
+    'version'" if only the new integrator is a CustomIntegrator, as in this package. This function ignores these data.
 
     Parameters
     ----------

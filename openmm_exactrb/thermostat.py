@@ -138,11 +138,10 @@ def kinetic_gain(bodies: RigidBodies, before: State, after: State) -> float:
 class Noise:
     """The seed of an integrator's noise, and the stream in use.
 
-    The noise of a step depends only on seed, stream and step number. On the host, ten calls of ``step(10)`` are
-    therefore bit-identical to ``step(100)``, and a run that continues from a checkpoint or State in another process is
-    bit-identical to an uninterrupted run. If a loaded State or a new step count makes a run branch off, as in replica
-    exchange, the run continues with a new stream. A checkpoint contains the number of its stream, and therefore
-    restores the noise.
+    The noise of a step depends only on seed, stream and step number. A run that continues in another process from a
+    checkpoint, or from a State with ``integratorParameters=True``, therefore has the noise of an uninterrupted run. If
+    a loaded State or a new step count makes a run branch off, as in replica exchange, the run continues with a new
+    stream. Loading a checkpoint restores its stream.
     """
 
     def __init__(self) -> None:

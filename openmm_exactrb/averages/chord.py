@@ -90,7 +90,7 @@ class Chords:
 def _clusters(bodies: RigidBodies, pairs: Indices) -> Iterator[tuple[Indices, Array, Indices, Array | None]]:
     """Yield particles (N, n), masses (n,), members of constraints (m, 2), and the sites of rigid clusters.
 
-    Sites, in nm, are (1, n, 3) if all clusters have one shape, otherwise (N, n, 3), and None for nonrigid clusters.
+    Sites, in nm, are (1, n, 3) for clusters of one shape, (N, n, 3) for other rigid ones, None for nonrigid ones.
     """
     for kind in bodies.kinds:
         if kind.turns:

@@ -67,7 +67,7 @@ class Average:
         The standard deviation of the mean, which includes statistical errors and the uncertainty of the correction.
         Statistical errors account for the autocorrelation of the frames.
     correction : float
-        The difference between `mean` and the average over the frames.
+        `mean` minus the average over the frames.
     correction_error : float
         The standard deviation of the correction, which includes statistical errors, a uniform distribution over
         `bracket`, and, for energies, a uniform distribution as wide as the fourth-order term.
@@ -223,7 +223,7 @@ _Result = tuple[float, float, float, float]
 
 
 def _errors(settings: Settings, columns: Columns, of: Sampled, local: bool, excess: float) -> tuple[float, float]:
-    """Return the errors of an average for weak and for strong friction, given the excess of the pressure in bar."""
+    """Return errors of an average for weak and strong friction; `excess` is that of the barostat's pressure (bar)."""
     if not settings.barostat:
         return _at_fixed_volume(settings, columns, of, local, None)
     volume = columns["volume"]

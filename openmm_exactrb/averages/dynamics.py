@@ -49,7 +49,7 @@ class Dynamics:
     bodies : RigidBodies
         The bodies of the System.
     named : sequence of sequences of int
-        Bodies named by the user.
+        Particles of each body passed as `bodies`.
     state : callable
         Returns the state of the bodies at the positions (n_particles, 3) of the Context.
     damping : (N,) and (K,) arrays

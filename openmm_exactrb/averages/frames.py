@@ -173,7 +173,7 @@ class _VirtualSites:
         return openmm.Context(self._system, openmm.VerletIntegrator(0.001), platform)
 
     def follow(self, x: Array, field: Array) -> None:
-        """Write into a field the velocities of the sites that follow from those of the other particles."""
+        """Write the velocities of virtual sites, which follow from those of other particles, into a field."""
         if len(self._places) and field.any():
             shift = _shift(field)
             field[self._places] = (self._at(x + shift * field) - self._at(x - shift * field)) / (2.0 * shift)

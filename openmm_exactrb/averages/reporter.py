@@ -27,7 +27,7 @@ from openmm_exactrb.support.stable_text import digest
 class AverageReporter:
     """Write the data for `corrected` and `pressure_offset` to a CSV file, with all digits.
 
-    Without pressure, a report uses only the forces that the Simulation evaluates for this report, and fast forces.
+    Without pressure, a report evaluates no forces except fast forces, because the Simulation provides all forces.
 
     Parameters
     ----------
@@ -43,8 +43,8 @@ class AverageReporter:
     around : (sequence of int, float), optional
         Particles, such as those of a solute, and a distance in nm (or a Quantity). The reporter then also stores S,
         the sum of f_s·M⁻¹f_s, of only those bodies that are within this distance of the particles. For observables that
-        depend only on the particles, the statistical error of corrections is then smaller: see the argument ``local``
-        of `corrected`.
+        depend only on these particles, the statistical error of corrections is then smaller: see the argument
+        ``local`` of `corrected`.
     append : bool, optional
         Whether to continue an existing file of a run with the same settings. Frames after the step at which the run
         continues, such as those after the last checkpoint of a killed run, are removed.

@@ -36,8 +36,8 @@ _PART, _LONGEST = 0.2, 5.0
 def claim(job: Run, args: argparse.Namespace, files: Iterable[str]) -> None:
     """Delete from the folder of a locked run the files that it may overwrite; raise FileExistsError for other files.
 
-    The run writes `files` in addition to `START` and `STEP`. A run that is resumed without a checkpoint creates `START`
-    and `STEP` again.
+    The run writes `files` in addition to `START` and `STEP`. A run that is resumed without a checkpoint replaces
+    `START` and `STEP`.
     """
     if job.resuming:
         return
@@ -53,7 +53,7 @@ def claim(job: Run, args: argparse.Namespace, files: Iterable[str]) -> None:
 def start_of(job: Run, args: argparse.Namespace, box: Box, platform: openmm.Platform) -> openmm.State:
     """Return the State at step 0, which is the user's State or an equilibrated State.
 
-    Positions without velocities are minimised, given velocities, and equilibrated for the time in ``--equilibrate``.
+    Positions without velocities are minimised and, with random velocities, equilibrated (see ``--equilibrate``).
     """
     if job.resuming:
         return read_xml(job.folder / START, openmm.State)
@@ -67,7 +67,7 @@ def start_of(job: Run, args: argparse.Namespace, box: Box, platform: openmm.Plat
 def step_of(
     job: Run, args: argparse.Namespace, box: Box, start: openmm.State, platform: openmm.Platform
 ) -> tuple[dict[str, Any], float]:
-    """Return options of the integrator, such as its scheme, and the step in ps, both tuned unless a step is given."""
+    """Return options of the integrator, such as its scheme, and the step in ps, tuned unless a step is given."""
     if args.step is not None:
         return {} if args.scheme is None else {"scheme": args.scheme}, args.step
     if job.resuming:

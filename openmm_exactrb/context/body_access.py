@@ -53,7 +53,7 @@ class BodyAccess:
         """Return the kinetic energy plus the potential energy of the integration force groups, in kJ/mol.
 
         The kinetic energy is computed from the bodies in float64, even if the platform rounds velocities. If steps end
-        with a drift after a heat exchange, as by default with a thermostat, the total energy has its canonical mean but
+        with a drift after a heat exchange, as in the default scheme BAOA, the total energy has its canonical mean but
         additional fluctuations proportional to the step size. In this case, monitor ``effectiveEnergy``.
         """
         context = self._up_to_date().sync.context
@@ -105,8 +105,8 @@ class BodyAccess:
         """Return the temperature of all degrees of freedom of the bodies, in K; nan if there are none.
 
         The result is the mean of `temperatures`, weighted by `degreesOfFreedom`. OpenMM's reporters call this method
-        instead of counting the constraints of the System, because that count is wrong for redundant constraints and for
-        bodies passed as `bodies`.
+        instead of counting the constraints of the System. That count is wrong for redundant constraints and for bodies
+        passed as `bodies`.
         """
         propagator = self._up_to_date()
         return _temperature(sum(thermal_energies(propagator, propagator.sync.state)), sum(freedom_of(propagator)))
@@ -116,7 +116,7 @@ class BodyAccess:
 
         The distribution is also correct for linear bodies, for redundant constraints and for bodies without
         constraints. With a CMMotionRemover, the total momentum is 0. ``Context.setVelocitiesToTemperature`` calls this
-        method if OpenMM's constraint solver does not converge or the integrator has `bodies`.
+        method if OpenMM's constraint solver fails or the integrator has `bodies`.
 
         Parameters
         ----------
@@ -139,8 +139,8 @@ class BodyAccess:
         """Minimise the potential energy.
 
         Bodies stay rigid, including those passed as `bodies`. ``simulation.minimizeEnergy`` calls this method if the
-        integrator has `bodies`, constraints are redundant or the box has split a molecule. If molecules are constrained
-        but not rigid, this method uses OpenMM's minimiser.
+        integrator has `bodies`, constraints are redundant or the box has split a constrained molecule. If molecules are
+        constrained but not rigid, this method uses OpenMM's minimiser.
 
         Parameters
         ----------
@@ -156,9 +156,9 @@ class BodyAccess:
             If the tolerance is not a positive force, the number of iterations is not whole, or the integrator has
             `bodies` and some molecules are constrained but not rigid.
         NonFiniteError
-            If the energy or a force at the start is not finite.
+            If the energy or a force at the initial positions is not finite.
         ArithmeticError
-            If OpenMM's minimiser violates the constraints.
+            If OpenMM's minimiser violates or does not support the constraints.
 
         Warns
         -----

@@ -126,7 +126,7 @@ class SlowGroups(ContextForces):
 
 
 class Remainder(EvaluatedForces):
-    """All forces minus the fast forces on selected bodies, which are evaluated in a separate Context.
+    """All forces minus the fast forces on selected bodies, which are evaluated separately.
 
     For any choice of fast forces, the remainder and the fast forces sum to all forces. The System is not modified.
     """

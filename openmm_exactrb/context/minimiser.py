@@ -23,7 +23,7 @@ def minimise_by_integrators(kind: type[Any]) -> None:
     """Let integrators of a class minimise the energy with ``minimizeEnergy`` where OpenMM's minimiser fails.
 
     OpenMM's minimiser would deform bodies passed as `bodies`, and the first step would use the deformed shape. With
-    redundant constraints, the minimiser returns NaN or crashes, and it pulls together the parts of molecules that the
+    redundant constraints, the minimiser may return NaN or crash. It also pulls together the parts of molecules that the
     box has split. The method of OpenMM's minimiser is replaced because ``Simulation.minimizeEnergy`` calls it before
     the integrator has found its Context.
     """

@@ -83,10 +83,10 @@ class Positions:
 class Synchronisation:
     """The bodies of a Context and their state.
 
-    The object holds only weak references to the Context and the integrator, which own the object. The variables of the
-    integrator store the full state in checkpoints and States. A ValueError is raised if there are no positions, no
-    particle can move, or bodies are not supported or do not match the positions. The argument `pairs` is passed to
-    `find_bodies`; `bodies` is the result of this function, if known.
+    The object holds only weak references to the Context and the integrator, which own the object. Checkpoints, and
+    States with integratorParameters=True, contain the full state in the integrator's variables. A ValueError is raised
+    if there are no positions, no particle can move, or bodies are not supported or do not match the positions. The
+    argument `pairs` is passed to `find_bodies`; `bodies` is the result of this function, if known.
 
     Attributes
     ----------
@@ -98,7 +98,7 @@ class Synchronisation:
     memory : Remembered
         The forces of the last kicks, in the inner coordinates.
     particles : (n_particles, 3) array
-        Positions of all particles (nm); those of particles in bodies are overwritten.
+        Positions of all particles (nm); `Positions.placed` replaces those of particles in bodies.
     positions : Positions
         The writer of the positions into the Context.
     """

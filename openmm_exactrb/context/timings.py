@@ -20,10 +20,10 @@ class Timings:
     total : float
         Total time inside step().
     evaluations : int
-        Number of evaluations by OpenMM, excluding those of forces nested in the drifts. An evaluation computes forces,
-        with or without the energy, or only the energy for a barostat, the Metropolis test or the divergence check.
+        Number of evaluations by OpenMM, excluding those of fast forces. An evaluation computes forces, with or without
+        the energy, or, for a barostat, the Metropolis test or the divergence check, only the energy.
     fast_evaluations : int
-        Number of evaluations of the forces that are nested in the drifts.
+        Number of evaluations of fast forces.
     """
 
     forces: float = 0.0

@@ -1,9 +1,9 @@
-"""Declaration of the persistent variables, which OpenMM's checkpoints, States and XML contain.
+"""Declaration of the persistent variables in checkpoints, States with integratorParameters=True, and XML.
 
-Their names and order define the format of checkpoints. All integrators of the package have the variables of all its
-thermostats, so that an integrator can load a checkpoint or State of another kind of integrator. Variables that only one
-thermostat has are declared last, and change the format. An OpenMM checkpoint contains numbers without names, and OpenMM
-loads them into the variables of any integrator. The first number therefore also identifies the format.
+Their names and order define the format of checkpoints. All integrators of the package have the numbers in `_NUMBERS`,
+so that an integrator can load a checkpoint of another kind of integrator. Further numbers of a thermostat are declared
+last, and change the format. An OpenMM checkpoint contains numbers without names, and OpenMM loads them into the
+variables of any integrator. The first number therefore also identifies the format.
 """
 
 from __future__ import annotations

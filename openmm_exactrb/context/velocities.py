@@ -2,9 +2,9 @@
 
 OpenMM draws the velocities of particles, and its constraint solver removes their components along the constraints. The
 momenta of rigid bodies are then canonical, because constraint impulses leave them unchanged. With redundant
-constraints, however, the solver does not converge, or leaves motions that bend a straight or flat body. The solver
-supports neither molecules that the box has split nor bodies passed as `bodies`. In addition, the centre of mass moves
-until a CMMotionRemover acts.
+constraints, however, the solver may diverge, or leave motions that bend a straight or flat body. The solver supports
+neither molecules that the box has split nor bodies passed as `bodies`. In addition, the centre of mass moves until a
+CMMotionRemover acts.
 """
 
 from __future__ import annotations

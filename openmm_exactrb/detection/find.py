@@ -34,7 +34,7 @@ def find_bodies(
     box: Array | None = None,
     pairs: bool = False,
 ) -> RigidBodies:
-    """Find the rigid bodies of a System, which constraints hold rigid, and its other particles.
+    """Find the rigid bodies of a System, defined by constraints or by `bodies`, and its other particles.
 
     The other particles are free, or belong to clusters that constraints do not hold rigid.
 

@@ -1,4 +1,4 @@
-"""The catalogue of engines, and the order in which ``engine="auto"`` tries them."""
+"""The engines, and the order in which ``engine="auto"`` tries them."""
 
 from __future__ import annotations
 

@@ -63,7 +63,8 @@ def as_completed(
 
     Notes
     -----
-    In a script, call this function under ``if __name__ == "__main__":``, because workers import the script.
+    In a script, call this function under ``if __name__ == "__main__":``, because workers import the script and
+    would repeat the call.
     """
     distinct = list(dict.fromkeys(jobs))
     for job in distinct:

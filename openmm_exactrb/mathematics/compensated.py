@@ -1,7 +1,7 @@
 """Reduction of roundoff: double-double numbers, and norms that do not drift.
 
-A million small steps in double-doubles accumulate no more roundoff than a single large step. An array of double-doubles
-has the shape (2, ...): ``x[0]`` is the number rounded to float64, and ``x[1]`` is the rounding error.
+A million small steps of free motion in double-doubles accumulate no more roundoff than a single large step. An array of
+double-doubles has the shape (2, ...): ``x[0]`` is the number rounded to float64, and ``x[1]`` is the rounding error.
 
 `two_sum` and the functions that follow it are error-free transformations of arrays and, in compiled code, of scalars.
 """
@@ -36,8 +36,8 @@ def keep_norm(m1: Array, m: Array, square: Array) -> Array:
     """Correct the norms of momenta m1 (3, N), in place, to those of m, which differ by roundoff; `square` is m.m.
 
     The difference of the squares, computed as (m - m1).(m + m1), is small and its rounding is unbiased. The rounding of
-    1 - m1.m1/m.m would be biased, because floating-point numbers are denser below one than above one, and the norm
-    would drift.
+    1 - m1.m1/m.m would be biased, because floating-point numbers are denser below one than above one; the norm would
+    then drift.
     """
     m1 += m1 * (np.einsum("in,in->n", m - m1, m + m1) * (0.5 / square))
     return m1

@@ -1,7 +1,7 @@
 """Jacobi's elliptic functions and the elliptic integral of the third kind, as required for a free rigid body.
 
 All functions use the *complementary* parameter kc² = 1 - k², because near the separatrix of the rigid body kc is tiny
-and cannot be recovered from k. `scipy.special.ellipj`, which takes k², cannot be used near the separatrix.
+and cannot be recovered from k. `scipy.special.ellipj` takes k², and therefore cannot be used there.
 """
 
 from __future__ import annotations

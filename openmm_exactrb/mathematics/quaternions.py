@@ -56,7 +56,7 @@ def norm_defect(q: Array) -> Array:
     """Return 1 - q.q of component-first unit quaternions (4, N), with an error of 1e-24.
 
     A sum in float64 has an error of 1e-16 that depends on q. A norm that is corrected by this sum, and hence the force,
-    would depend on the error, and the energy would drift. The squares of numbers on a grid of 2^-26 are exact, and
+    would depend on the error, so that the energy would drift. The squares of numbers on a grid of 2^-26 are exact, and
     their sum is also exact.
     """
     coarse = (q + TO_GRID) - TO_GRID

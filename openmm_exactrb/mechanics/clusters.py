@@ -258,7 +258,7 @@ def _anywhere(n: int) -> Array:
 def sorted_into_kinds(groups: Iterable[ClusterKind]) -> Clusters:
     """Return clusters grouped into kinds; stars that differ only in the order of their atoms form one kind.
 
-    In a star, one atom has a constraint with each other atom. Within a kind, clusters are sorted by their first
+    The constraints of a star join one atom to each of the others. Within a kind, clusters are sorted by their first
     particles. A ValueError is raised if constraints cannot be satisfied; see `ClusterKind.check_kept`.
     """
     kinds: dict[bytes, list[ClusterKind]] = {}

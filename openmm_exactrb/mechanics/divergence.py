@@ -42,7 +42,7 @@ _TOO_HOT, _ERRORS = 0.05, 4.0
 
 
 class IntegrationError(ArithmeticError):
-    """A run has diverged, because the step is too large or bodies overlap at the start."""
+    """A run has diverged, usually because the step is too large or bodies overlap initially."""
 
 
 class NonFiniteError(IntegrationError):
@@ -50,7 +50,7 @@ class NonFiniteError(IntegrationError):
 
 
 class StepSizeWarning(UserWarning):
-    """A step is too long for correct averages, because it is near a resonance or the temperature stays too high."""
+    """A step is too long for correct averages: it is near a resonance, or the temperature stays too high."""
 
 
 class DivergenceCheck:
@@ -201,8 +201,8 @@ class Overheating:
     """Monitors the temperatures of a run with a thermostat, and warns once.
 
     The translation of rigid bodies, their rotation, and all other particles are monitored separately, because a solute
-    may be hotter than its water. `kT` (kJ/mol) is given by the temperature of the thermostat, and `relaxation` (ps) is
-    the relaxation time of the thermostat.
+    may be hotter than its water. `kT` (kJ/mol) and `relaxation` (ps) are the thermal energy and the relaxation time of
+    the thermostat.
     """
 
     def __init__(self, bodies: RigidBodies, kT: float, relaxation: float) -> None:

@@ -49,12 +49,12 @@ def minimised(
 ) -> BodyState:
     """Return the state at a minimum of the potential energy, with the momenta of `start`.
 
-    Coordinates are the displacement and the rotation exp(theta) of each body relative to its start, where theta is
+    Coordinates are the displacement and the rotation exp(theta) of each body relative to `start`, where theta is
     multiplied by the radius of gyration. The method is L-BFGS-B: Zhu, Byrd, Lu and Nocedal, doi:10.1145/279232.279236.
     If a search ends above the tolerance, for example because overlapping bodies cause huge forces, another search
     starts at the best position found. The tolerance, in kJ/mol/nm, limits the largest component of a force, and of a
     torque divided by the radius of gyration. The argument `iterations` limits the number of iterations of all searches
-    together; 0 means no limit. A NonFiniteError is raised if the energy or a force at the start is not finite. A
+    together; 0 means no limit. A NonFiniteError is raised if the energy or a force at `start` is not finite. A
     MinimisationWarning is issued if the energy stops falling before a search reaches the tolerance.
     """
     if not all(np.isfinite(np.sum(part)) for part in landscape(start)):

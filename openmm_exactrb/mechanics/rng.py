@@ -11,7 +11,7 @@ Seed and step are encoded as signed integers. Each value of the counter yields a
 N), the counter of body n has the lowest word n + 1. The second word is the index of the block. An array of more than
 four rows has several blocks. Hence a random number does not depend on how many numbers were drawn before it, on where a
 run was interrupted, or on the engine that performs the step. In the device engine, kernels/random.cl generates the same
-numbers. The stream is the index of the substep in the step times `PURPOSES`, plus the purpose.
+numbers. The stream is the index of the heat exchange in the step times `PURPOSES`, plus the purpose.
 
 Normal variates are computed from neighbouring words by the method of G. E. P. Box and M. E. Muller (1958),
 doi:10.1214/aoms/1177706645.
@@ -50,7 +50,7 @@ PURPOSES = 16
 
 
 class Instant(NamedTuple):
-    """The identity of a substep in a run: the seed, the number of completed steps, and the index of the substep."""
+    """The identity of a random substep, such as a heat exchange: seed, number of the step, and index in the step."""
 
     seed: int
     step: int

@@ -73,8 +73,7 @@ class ForceMemory:
     Attributes
     ----------
     forces, differences : deque of (force, torque)
-        Forces at the last positions, and differences between displaced and undisplaced forces in the last
-        force-gradient kicks.
+        Forces at the last positions, and displaced minus undisplaced forces in the last force-gradient kicks.
     closed : bool
         Whether additions are ignored, as is the case while output is computed.
     """
@@ -90,7 +89,7 @@ class ForceMemory:
             self.forces.appendleft(force)
 
     def add_difference(self, difference: Force) -> None:
-        """Store the difference between a displaced and an undisplaced force."""
+        """Store a displaced minus an undisplaced force."""
         if not self.closed:
             self.differences.appendleft(difference)
 

@@ -26,7 +26,7 @@ def find_context(integrator: openmm.Integrator) -> openmm.Context:
 def _referring(integrator: Any) -> Any:
     """Return the Context that refers to an integrator, or None.
 
-    Only referrers are searched, because listing all objects corrupts tuples that other threads are creating.
+    Only referrers are searched, because listing all objects may corrupt tuples that other threads are creating.
     """
     for referrer in gc.get_referrers(integrator):
         if isinstance(referrer, openmm.Context):

@@ -1,7 +1,7 @@
 """The parameters of a System and its forces as arrays, read through OpenMM's C interface.
 
-A call from Python takes several microseconds per bond, and a membrane has a million bonds. The parameters of a custom
-force are in the order of its parameter names.
+A call from Python takes several microseconds per bond, and a membrane may have a million bonds. The parameters of a
+custom force are in the order of its parameter names.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ class GayBerne:
 
     The potential is 4 epsilon e1 e2² (R^-12 - R^-6) with R = (r - s + shift)/shift. For the axes u and v, and the unit
     vector e between the centres, s = sigma/sqrt(H(chi)), e1 = 1/sqrt(1 - chi² (u.v)²), e2 = H(chi'), and H(x) = 1 - x
-    ((u.e)² + (v.e)² - 2 x (u.e)(v.e)(u.v))/(1 - x² (u.v)²) (Gay and Berne, doi:10.1063/1.441483). A switch with five
+    ((u.e)² + (v.e)² - 2 x (u.e)(v.e)(u.v))/(1 - x² (u.v)²) (Gay and Berne, doi:10.1063/1.441483). A switch with six
     continuous derivatives takes the potential to zero at the cutoff.
 
     Parameters

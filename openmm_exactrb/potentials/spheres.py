@@ -1,7 +1,7 @@
 """The cutoff of the spheres of dipole fluids, which is part of the model, and its long-range correction.
 
 The switch of `openmm_exactrb.potentials.switching` takes the energy of a pair smoothly to zero. The correction adds the
-mean of the removed energy for N spheres with the pair energy u, uniformly distributed beyond the start of the switch:
+mean of the removed energy for N spheres with the pair energy u, assuming g(r) = 1 beyond the start of the switch:
 
     U = 2 pi N²/V integral (u - S (u - u_c)) r² dr,    P = U/V,
 
@@ -65,7 +65,7 @@ def long_range_correction(
     sphere_switch: float | None,
     shifted: bool,
 ) -> openmm.CustomVolumeForce:
-    """Return a force for the mean energy of n spheres beyond their cutoff, which depends only on the volume.
+    """Return a force whose energy is the long-range correction for n spheres, a function of the volume only.
 
     The arguments and the Context parameters `soft_repulsion` and, with an attraction, `soft_attraction` are those of
     `soft_dipole_force`. A ValueError is raised for spheres without a cutoff.

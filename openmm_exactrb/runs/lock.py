@@ -13,7 +13,7 @@ from pathlib import Path
 def only_process(folder: Path) -> Iterator[None]:
     """Hold a lock on a folder until the block or the process ends; raise BlockingIOError if another process holds it.
 
-    On Windows, which has no such locks, the folder is not locked.
+    On Windows, and on file systems without such locks, the folder is not locked.
     """
     if sys.platform == "win32":
         yield

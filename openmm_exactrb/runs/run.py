@@ -37,7 +37,7 @@ _CHUNK = 10
 class Run:
     """A Simulation with its files in one folder, which can be resumed after any interruption.
 
-    Checkpoints store the state and the lengths of all output files at intervals. A resumed run truncates the files to
+    At intervals, checkpoints store the state and the lengths of all output files. A resumed run truncates the files to
     these lengths and loads the state, so that no frame is lost or duplicated. On the Reference platform and without a
     barostat, every file is identical, byte for byte, to that of an uninterrupted run, except for the date in the header
     of a DCD file.
@@ -170,7 +170,7 @@ class Run:
         self._outputs.add(reporter, name, steps)
 
     def advance(self, simulation: Any, until: int, progress: Callable[[int], object] | None = None) -> None:
-        """Advance a Simulation to step `until`, from its start or from the checkpoint.
+        """Advance a Simulation to step `until`, from its initial state or from the checkpoint.
 
         On SIGINT (Ctrl-C), SIGTERM and SIGHUP the run finishes the steps in progress, writes a checkpoint and raises
         SystemExit with the status 128 + the number of the signal. A second signal ends the process immediately. A run
@@ -180,8 +180,8 @@ class Run:
         ----------
         simulation : openmm.app.Simulation
             A Simulation in its initial state. When a run is resumed, the state of the Simulation is ignored, except for
-            its positions. The positions define the shapes of the bodies in `bodies`, and must be those of the first
-            start.
+            its positions. The positions define the shapes of the bodies in `bodies`, and must be those from which the
+            run began.
         until : int
             Number of the last step.
         progress : callable, optional

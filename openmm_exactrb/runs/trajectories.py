@@ -33,7 +33,7 @@ def _topology(reporter: Any, simulation: Any) -> app.Topology:
 
 
 def check_lost_frames(reporter: Any, file: Path) -> None:
-    """Raise OSError if an XTC file lacks frames, because OpenMM ignores errors when it writes them."""
+    """Raise OSError if an XTC file lacks frames, because OpenMM ignores errors when writing frames."""
     if not isinstance(reporter, app.XTCReporter) or reporter._xtc._modelCount == 0:
         return
     written = reporter._xtc._modelCount

@@ -1,4 +1,4 @@
-"""Splitting schemes for H = T + V, whose steps are sequences of substeps, and a catalogue of schemes by name."""
+"""Splitting schemes for H = T + V, whose steps are sequences of substeps, and the lookup of schemes by name."""
 
 from openmm_exactrb.schemes.catalogue import CATALOGUE, scheme, scheme_for_thermostat, splitting
 from openmm_exactrb.schemes.generated import composition, corrected, saba, sbab

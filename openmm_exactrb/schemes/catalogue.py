@@ -1,4 +1,4 @@
-"""The catalogue: tables of coefficients with their sources, and the lookup of schemes by name."""
+"""Tables of the coefficients of schemes with their sources, and the lookup of schemes by name."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ at another y if a step ends between two drifts after the exchange. `openmm_exact
 error of any average from these numbers.
 
 For harmonic motions, the fourth-order error of the potential energy is known too. The coefficient here is that of the
-error that remains after the second-order correction for strong friction.
+error that remains after the second-order correction in the limit of strong friction.
 """
 
 from __future__ import annotations

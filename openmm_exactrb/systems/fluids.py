@@ -144,9 +144,8 @@ def dipole_fluid(
     shifted : bool
         Whether to subtract the energy of two spheres at the cutoff from their energy.
     long_range_correction : bool, optional
-        Whether a second force adds the mean contribution of spheres beyond the cutoff to energy and pressure. By
-        default this force is added in a periodic box, unless the potential is shifted or truncated at its minimum
-        (`wca`).
+        Whether a second force adds the long-range correction of energy and pressure. By default this force is added in
+        a periodic box, unless the potential is shifted or truncated at its minimum (`wca`).
     kernel : {"auto", "openmm", "bonds", "compiled"}
         Type of the force; see `soft_dipole_force`. With `Ewald`, "openmm" uses the two forces of
         `openmm_exactrb.potentials.dipole_rod_forces`, which OpenMM evaluates on the device, and which reach a tolerance

@@ -1,4 +1,4 @@
-"""Lattices of starting positions for molecules."""
+"""Lattices of initial positions for molecules."""
 
 from __future__ import annotations
 

@@ -23,12 +23,11 @@ def heavy_hydrogens(
     The mass of each molecule does not change. Librations of water and vibrations of angles with hydrogen become slower,
     which allows longer steps.
 
-    The new masses change the dynamics of rotations, through the moments of inertia, and of vibrations of hydrogens.
-    Diffusion and viscosity change by several percent. For rigid molecules, and for atoms without constraints, averages
-    of functions of positions do not depend on masses. If several bonds of one atom are constrained, as with HBonds, the
-    distribution of the angles between these bonds has a weight sqrt(det(J M^-1 J^T)) that depends on the masses. For
-    two bonds of a carbon with hydrogens of 3 amu, the weight corresponds to 0.005 kT at 10 degrees from the tetrahedral
-    angle.
+    The new masses change the dynamics of rotations, through the moments of inertia, and of vibrations of hydrogens, and
+    therefore diffusion and viscosity. For rigid molecules, and for atoms without constraints, averages of functions of
+    positions do not depend on masses. If several bonds of one atom are constrained, as with HBonds, the distribution of
+    the angles between these bonds has a weight sqrt(det(J M^-1 J^T)) that depends on the masses. For two bonds of a
+    carbon with hydrogens of 3 amu, the weight corresponds to 0.005 kT at 10 degrees from the tetrahedral angle.
 
     Parameters
     ----------

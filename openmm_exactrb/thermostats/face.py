@@ -30,8 +30,8 @@ class Options(TypedDict, total=False):
 class ThermostattedIntegrator(ExactRigidBodyIntegrator):
     """An `ExactRigidBodyIntegrator` with a thermostat of this package.
 
-    Checkpoints and States contain the seed and sums over steps, such as the heat. Temperature and friction are settings
-    that must be set again in a new process.
+    Checkpoints, and States with ``integratorParameters=True``, contain the seed and sums over steps, such as the heat.
+    Temperature and friction are settings that must be set again in a new process.
     """
 
     _thermostat: Any
@@ -43,7 +43,7 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
     def setTemperature(self, temperature: float | unit.Quantity) -> None:
         """Set the temperature of the thermostat, in K if it has no unit.
 
-        The temperature of a barostat is set separately.
+        Set the temperature of a barostat separately.
 
         Raises
         ------
@@ -56,8 +56,8 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         """Return the translational and rotational temperatures around the last heat exchange.
 
         Both are means of the values before and after the exchange. With "BAOAB" and "ABOBA" the exchange is in the
-        middle of a step, where the distribution of momenta is closer to canonical. In contrast, `temperatures` and the
-        velocities of the Context refer to the end of the step and are biased.
+        middle of a step, where the distribution of momenta is closer to canonical than at the end, to which
+        `temperatures` and the velocities of the Context refer.
 
         Raises
         ------
@@ -91,8 +91,8 @@ class HeatedIntegrator(ThermostattedIntegrator):
     def heat(self) -> unit.Quantity:
         """Return the energy that the thermostat has added to the bodies since the start of the run.
 
-        The kinetic energy that a ``CMMotionRemover`` has removed is subtracted. A loaded checkpoint or State restores
-        the energy of the earlier part of the run.
+        The kinetic energy that a ``CMMotionRemover`` has removed is subtracted. Loading a checkpoint, or a State with
+        ``integratorParameters=True``, restores the energy of the earlier part of the run.
 
         Raises
         ------
@@ -108,9 +108,9 @@ class HeatedIntegrator(ThermostattedIntegrator):
 
         The drift and the noise of this quantity are integration errors, of the order of the scheme. In contrast,
         `totalEnergy` is the energy at the end of the step. With a scheme that ends with a drift after the heat
-        exchange, such as the default, momenta lag behind positions at the end of the step. `totalEnergy` then
-        fluctuates by an amount proportional to the step size. A barostat and the setting of positions or velocities
-        also change the effective energy, as does setting the step size with such a scheme.
+        exchange, such as the default, momenta then lag behind positions, and `totalEnergy` fluctuates by an amount
+        proportional to the step size. A barostat, and setting positions or velocities, also change the effective
+        energy. With such a scheme, setting the step size changes it too.
 
         Raises
         ------

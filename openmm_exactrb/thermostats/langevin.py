@@ -217,7 +217,7 @@ class ExactRigidBodyLangevinIntegrator(HeatedIntegrator):
     -----
     `step` raises a ValueError if the System also has a thermostat, or a barostat at another temperature.
 
-    The noise depends only on the seed and the number of the step: use different seeds for independent trajectories.
+    Runs with the same seed have the same noise: use different seeds for independent trajectories.
     """
 
     _thermostat: Langevin

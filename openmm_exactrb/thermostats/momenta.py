@@ -36,8 +36,8 @@ class CanonicalMomenta:
 
     Notes
     -----
-    Append the object to ``Simulation.reporters``. The momenta after a draw depend only on the seed and the number of
-    the step, so that a resumed run ends in the same state as an uninterrupted one.
+    Append the object to ``Simulation.reporters``. The random numbers of a draw depend only on the seed and the number
+    of the step, so that a resumed run has the same draws as an uninterrupted one.
     """
 
     def __init__(self, temperature: float | unit.Quantity, reportInterval: int, seed: int = 0) -> None:

@@ -215,9 +215,9 @@ class ExactRigidBodyNoseHooverIntegrator(ThermostattedIntegrator):
     below the temperature of the chains by an amount proportional to the square of the step.
     `temperaturesAroundThermostat` returns the temperatures of the chains.
 
-    Momenta that are all zero stay zero: draw initial momenta with `setVelocitiesToTemperature`. Checkpoints and States
-    can be loaded only with the same number and length of chains. Small or stiff systems may not be ergodic; a harmonic
-    oscillator with a chain of one link, for example, is not.
+    Momenta that are all zero stay zero: draw initial momenta with `setVelocitiesToTemperature`. Checkpoints, and States
+    with ``integratorParameters=True``, can be loaded only with the same number and length of chains. Small or stiff
+    systems may not be ergodic; a harmonic oscillator with a chain of one link, for example, is not.
     """
 
     _thermostat: NoseHooverChain

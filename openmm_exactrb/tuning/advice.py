@@ -69,10 +69,10 @@ def tune(
     (rigid bodies and single particles). Causes that limit the accuracy of every scheme are reported first. If the
     target is less than half the error due to the forces, the search is skipped. Survey runs have the length `duration`,
     and their errors are extrapolated to the horizon from the growth of the variance. The recommended setting is then
-    run over the whole horizon from three starts: the given start, and two others at its temperature. The promised error
-    is the largest of the three errors, increased if the error depends so steeply on the step that another start may
-    have a larger error. Costs are measured as in `Simulation.step`, which calls the integrator once per ten steps. If
-    the System has bonds or angles that are not constrained, schemes with ``fast="bonded"`` are tried too: those of
+    run over the whole horizon from three initial states: the given one, and two others at its temperature. The promised
+    error is the largest of the three, increased if the error depends so steeply on the step that another initial state
+    may have a larger error. Costs are measured as in `Simulation.step`, which calls the integrator once per ten steps.
+    If the System has bonds or angles that are not constrained, schemes with ``fast="bonded"`` are tried too: those of
     `schemes`, or `NESTED_CANDIDATES`.
 
     Parameters
@@ -87,14 +87,14 @@ def tune(
         Standard deviation of the total energy to be reached, in kJ/mol per body. Without a target, all step sizes are
         measured, and the result provides settings for any error.
     schemes : sequence of str or Scheme, optional
-        By default `CANDIDATES`, or as many of them as the budget allows. The name of a custom scheme must not be in the
-        catalogue. OpenMM's VerletIntegrator is measured too if constraints define all bodies. If this integrator fails,
-        the result states the failure.
+        By default `CANDIDATES`, or as many of them as the budget allows. The name of a custom scheme must not be a key
+        of `SCHEMES`. OpenMM's VerletIntegrator is measured too if constraints define all bodies. If this integrator
+        fails, the result states the failure.
     velocities : (n, 3) array or Quantity, optional
-        Velocities for a start given by positions, in nm/ps if they have no unit.
+        Velocities if `start` contains positions only, in nm/ps if they have no unit.
     temperature : float or Quantity, optional
         Temperature in K, required if all velocities are zero. Positions without velocities are minimised; Langevin
-        dynamics of this package then brings the start to the temperature.
+        dynamics of this package then brings the system to the temperature.
     platform : str or openmm.Platform, optional
         By default the platform named by OPENMM_DEFAULT_PLATFORM, otherwise the fastest one except for OpenCL on a CPU.
     properties : mapping, optional

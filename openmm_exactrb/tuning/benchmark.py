@@ -1,4 +1,4 @@
-"""The methods that are compared, and their runs from several starts, which measure energies and times."""
+"""The compared methods, and their runs from several initial states, which measure energies and times."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ _LOST = 0.1
 
 @dataclass(frozen=True)
 class Method:
-    """A scheme, plain or with the bonded forces nested in its drifts; without a scheme, the baseline `VERLET`."""
+    """A scheme, with or without inner steps for bonded forces, or None for the baseline `VERLET`."""
 
     scheme: Scheme | None = None
     nested: bool = False
@@ -82,7 +82,7 @@ class Method:
 
     @property
     def stages(self) -> int:
-        """Force evaluations per step, not counting those of nested forces."""
+        """Force evaluations per step, not counting those of inner steps."""
         return 1 if self.scheme is None else self.scheme.forces
 
     @property
@@ -118,7 +118,7 @@ class Energies(NamedTuple):
     interval: float
     #: Wall time in s per force evaluation.
     seconds: float
-    #: Evaluations of nested forces per evaluation of the other forces.
+    #: Force evaluations of inner steps per evaluation of the other forces.
     nested: float
 
 
@@ -152,7 +152,7 @@ class SchemeUnderTest:
 
 
 class VerletUnderTest(SchemeUnderTest):
-    """OpenMM's leapfrog, which interprets the velocities of the start as velocities half a step earlier."""
+    """OpenMM's leapfrog, which interprets the initial velocities as velocities half a step earlier."""
 
     def __init__(self, start: InitialState) -> None:
         self.integrator, self.timings, self._groups = openmm.VerletIntegrator(1e-6), Timings(), start.groups
@@ -174,7 +174,7 @@ class VerletUnderTest(SchemeUnderTest):
 
 
 class Benchmark:
-    """Runs of methods on a System that conserves its energy, from several starts and within a budget."""
+    """Runs of methods on a System that conserves its energy, from several initial states and within a budget."""
 
     def __init__(self, state: InitialState, budget: Budget, seed: int = 0) -> None:
         integrator, context = state.probe()

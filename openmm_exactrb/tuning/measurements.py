@@ -23,7 +23,7 @@ UNSURE = 1.5
 
 @dataclass(frozen=True)
 class Point:
-    """A method with a step, run from one start or from several."""
+    """A method with a step, run from one or several initial states."""
 
     #: Name of a scheme, followed by " nested" if bonded forces are nested, or "VerletIntegrator".
     method: str
@@ -142,7 +142,7 @@ class Measurements:
         return self._seconds(point.method, point.step) * self.methods[point.method].evaluations / point.step
 
     def _seconds(self, name: str, step: float) -> float:
-        """Return the wall time of a force evaluation and its nested evaluations, which is the same in all schemes.
+        """Return the wall time of a force evaluation and its inner steps, assumed to be equal in all schemes.
 
         The minimum over all runs is used, because any excess is due to other processes on the machine.
         """

@@ -1,4 +1,4 @@
-"""The preparation of an equilibrated start from positions, with the minimiser and integrator of this package.
+"""The preparation of an equilibrated state from positions, with the minimiser and integrator of this package.
 
 OpenMM's own minimiser and integrators fail for redundant constraints, such as all distances within CO2 or CH4.
 """
@@ -91,7 +91,7 @@ def diverging() -> Iterator[None]:
 
 
 def minimise(integrator: ExactRigidBodyIntegrator) -> None:
-    """Remove the overlaps of a start; the first short steps of `heat` remove any that remain."""
+    """Remove overlaps in the initial state; the first short steps of `heat` remove any that remain."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", MinimisationWarning)
         try:
@@ -110,8 +110,8 @@ def heat(
 ) -> Iterator[float]:
     """Perform Langevin dynamics for a time in ps, by default in `PARTS` parts; yield the kinetic energy after each.
 
-    The step is chosen from the forces, which allows starts far from equilibrium. The step is halved if the dynamics
-    diverges, for example because bodies collide that did not interact before.
+    The step is chosen from the forces, which allows initial states far from equilibrium. The step is halved if the
+    dynamics diverges, for example because bodies collide that did not interact before.
     """
     left, least = (math.inf, 0.0) if length is None else (length, _RELAXED / (length or math.inf))
     part, halvings = 0, 0

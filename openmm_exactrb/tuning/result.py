@@ -37,7 +37,7 @@ class Choice:
     confirmed: bool
     #: The argument `bodies` of the integrator.
     bodies: list[list[int]] | None = None
-    #: The scheme of the method if it is not in the catalogue.
+    #: The scheme of the method if it is not in `SCHEMES`.
     scheme: Scheme | None = None
     #: Bit mask of the active force groups.
     groups: int = -1

@@ -1,9 +1,9 @@
 """The library of the device engine, which is loaded from a wheel, or compiled once into the user's cache.
 
 A wheel contains the library for one minor version of OpenMM next to this module. If the wheel has no library, or OpenMM
-has another minor version, the library is compiled within seconds, like numba's kernels. The name of the compiled file
-contains a hash of the source, of OpenMM's version and of the compiler. The file is moved into place atomically, because
-two processes may compile at the same time.
+has another minor version, the library is compiled once, within seconds. The name of the compiled file contains a hash
+of the source, of OpenMM's version and of the compiler. The file is moved into place atomically, because two processes
+may compile at the same time.
 """
 
 from __future__ import annotations

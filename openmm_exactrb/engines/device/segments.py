@@ -349,7 +349,7 @@ class Sequences:
     def _way(self, rows: Rows, copied: bool, begins: float | None = None) -> list[Operation]:
         """Return the operations that perform substeps outside of a step and then show the state in the Context.
 
-        The time does not advance, unless `begins` is the fraction of the step at which it begins.
+        The time does not advance, unless `begins` is the fraction of the step at which the substeps begin.
         """
         some = [
             replace(segment, copied=copied, time=0.0 if begins is None else begins + segment.time)

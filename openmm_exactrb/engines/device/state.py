@@ -37,7 +37,7 @@ class DeviceState(Synchronisation):
     def pull(self) -> bool:
         """Update the state from the device, and return whether the Context was changed.
 
-        A changed Context replaces the state on the device too.
+        A changed state is also written to the device.
         """
         changes = self._device.changes()
         if not changes & (SET | LOADED):

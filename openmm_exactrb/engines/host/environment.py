@@ -62,7 +62,7 @@ class HostEnvironment:
         return self.settings.thermostat.flow(self, number)
 
     def at_rest(self, state: State) -> State:
-        """Return the state after a CMMotionRemover, and subtract the kinetic energy that it removed from the heat."""
+        """Return the state after a CMMotionRemover, and subtract from the heat the kinetic energy that it removed."""
         after = self.updates.remove_motion(self.bodies.mass, state, self.clock.number)
         thermostat = self.settings.thermostat
         if after is not state and thermostat is not None and thermostat.heat is not None:

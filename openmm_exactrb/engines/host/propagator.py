@@ -134,7 +134,7 @@ class HostPropagator:
 
         Substeps are bound to settings() again if the `version` of the settings differs from that of the last call;
         `key` is the key of the random numbers. An IntegrationError is raised if a step diverges; with a processed
-        scheme, the Context then has the state before the call.
+        scheme, the Context then contains the state before the call.
         """
         self._left = None
         self._settle(version, settings)

@@ -1,7 +1,7 @@
 """The sum over pairs of soft dipoles, compiled in double precision.
 
-If the box is too small for cells, the sum of every sphere runs over all others, so that each pair is computed twice.
-Rows are then independent, the inner loop is vectorised, and results are bit-identical for any number of threads.
+Without a box, or in one too small for cells, the sum of every sphere runs over all others, and each pair is computed
+twice. Rows are then independent, the inner loop is vectorised, and results are bit-identical for any number of threads.
 """
 
 from __future__ import annotations

@@ -63,7 +63,7 @@ class Evaluated(NamedTuple):
         """Return a sequence with inner steps for its drifts, and with separate kicks by the fast and the slow forces.
 
         If a fast and a slow kick are adjacent, the fast kick comes first. At the start of the sequence, the slow kick
-        comes first, because the previous step may have ended with a slow kick.
+        comes first, because its forces are known if the previous step ended with a slow kick.
         """
         places = itertools.groupby(self._each(sequence), lambda row: isinstance(row[0], GroupsKick))
         rows: list[tuple[Substep, float]] = []
