@@ -300,7 +300,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     def _step_of(self, size: float | unit.Quantity | None, interval: float | unit.Quantity | None) -> float:
         """Return the step size in ps, from the step size or from the interval between force evaluations."""
         if size is not None and interval is not None:
-            raise ValueError("stepSize= and forceInterval= exclude each other: omit one of these arguments")
+            raise ValueError("stepSize= and forceInterval= are mutually exclusive: omit one of these arguments")
         if size is None and interval is None:
             raise ValueError("stepSize= is missing: pass it, or forceInterval=, the time between force evaluations")
         if interval is None:

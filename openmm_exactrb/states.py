@@ -83,7 +83,7 @@ def read_xml(file: str | os.PathLike[str], kind: type[Any], writer: str = "openm
         content: Any = openmm.XmlSerializer.deserialize(Path(file).read_text(encoding="utf-8"))
     except (openmm.OpenMMException, ValueError) as error:
         raise ValueError(
-            f"{file} cannot be read as a file of {writer} ({' '.join(str(error).split())}): pass a complete file that "
+            f"{file} is not a valid file of {writer} ({' '.join(str(error).split())}): pass a complete file that "
             f"{writer} wrote"
         ) from None
     if not isinstance(content, kind):

@@ -194,9 +194,9 @@ def _named(observables: Any) -> dict[str, Observable]:
         plain_text = name.isprintable() and name == name.strip() != "" and not set(name) & set(',("')
         if name in READY or not plain_text or any(columns.count(column) > 1 for column in of_observable(name)):
             raise ValueError(
-                f"an observable cannot have the name {name!r}: choose a name without commas, brackets, quotation marks "
-                "or spaces at its ends, other than those of the columns of the file and "
-                f"{', '.join(READY)}"
+                f"an observable cannot have the name {name!r}: choose a name that contains no comma, opening "
+                "parenthesis or double quotation mark, neither begins nor ends with a space, and is neither the name "
+                f"of a column of the file nor one of {', '.join(READY)}"
             )
     return dict(observables)
 

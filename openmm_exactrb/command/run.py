@@ -117,7 +117,7 @@ def carry_out(args: argparse.Namespace) -> int:
     scheme = _scheme_of(args)
     if args.force_interval is not None:
         if args.step is not None:
-            raise ValueError("--step and --force-interval exclude each other: omit one of these options")
+            raise ValueError("--step and --force-interval are mutually exclusive: omit one of these options")
         args.step = settled.step = args.force_interval * scheme.forces
     platform = platform_of(args.platform)
     offset = None if args.pressure_offset is None else pressure_offset(args.pressure_offset)

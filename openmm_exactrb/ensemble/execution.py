@@ -72,8 +72,8 @@ def as_completed(
             raise TypeError(f"jobs must be Job objects, not {shown(job)}")
     if scheduler is not None and workers is not None:
         raise ValueError(
-            "scheduler= and workers= exclude each other, because a scheduler has its own workers: omit one of these "
-            "arguments"
+            "scheduler= and workers= are mutually exclusive, because a scheduler has its own workers: omit one of "
+            "these arguments"
         )
     if workers is not None:
         workers = whole(workers, "workers")

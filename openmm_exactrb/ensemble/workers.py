@@ -68,8 +68,8 @@ def perform(pickled: bytes, wanted: list[str]) -> dict[str, Any]:
         if versions() != wanted:
             own, needed = (" with OpenMM ".join(both) for both in (versions(), wanted))
             raise RuntimeError(
-                f"this worker has openmm-exactrb {own}, but the job needs openmm-exactrb {needed}: start the workers "
-                "in the environment of the job"
+                f"this worker has openmm-exactrb {own}, but the jobs need openmm-exactrb {needed}: start the workers "
+                "in the Python environment that creates the jobs"
             )
         job = pickle.loads(pickled)
         fields = {"value": _as_from_json(job.function(**job.arguments))}

@@ -135,7 +135,7 @@ def _judge(bodies: RigidBodies, x: Array, chosen: Indices, distance: Array) -> N
             f", more than {REFUSED:g} nm: set positions that match the constraints or, for a body given in bodies=, "
             "the positions that were set first"
         )
-        raise ValueError(f"{name} is {distance[worst]:.2g} nm away from its shape{cause}")
+        raise ValueError(f"the positions of {name} deviate from its shape by {distance[worst]:.2g} nm{cause}")
     warn(
         "positions deviated from the shapes of bodies and were corrected (bodies affected: "
         f"{(distance > RIGIDITY).sum()}), by up to {distance[worst]:.2g} nm for {name}: set positions that match the "
@@ -154,7 +154,7 @@ def _cause(bodies: RigidBodies, x: Array, body: int) -> str | None:
     missed = np.array([_missed_by(k, kind.weights, sites, x[particles]) for k in range(len(particles))])
     if _missed_by(None, kind.weights, -sites, x[particles]).max() <= REFUSED:
         return (
-            " and has the shape of its mirror image: set positions with the handedness of those that were set "
+            " and form its mirror image: set positions with the handedness of those that were set "
             "first, or call context.reinitialize(preserveState=True) to make the present positions the shape"
         )
     (astray,) = np.nonzero(np.where(np.eye(len(missed)), 0.0, missed).max(axis=1) <= REFUSED)
@@ -162,7 +162,7 @@ def _cause(bodies: RigidBodies, x: Array, body: int) -> str | None:
         return None
     k = astray[0]
     return (
-        f" because of particle {particles[k]} alone, {missed[k, k]:.2g} nm from its position among the others: set "
+        f", because of particle {particles[k]} alone, {missed[k, k]:.2g} nm from its place relative to the others: set "
         f"the position of this particle again, in the periodic image of the others"
     )
 

@@ -109,8 +109,8 @@ class Resonances:
         what = "bond" if len(found.particles) == 2 else "angle"
         particles = ", ".join(map(str, found.particles))
         warn(
-            f"with steps of {1e3 * step:.3g} fs, the slow forces may heat the motion within the drifts. From "
-            f"{1e3 * found.step:.3g} fs on, {scheme.name} is near a resonance with the {what} of particles "
+            f"with steps of {1e3 * step:.3g} fs, the slow forces may heat vibrations of the molecules. At steps of "
+            f"{1e3 * found.step:.3g} fs and above, {scheme.name} is near a resonance with the {what} of particles "
             f"{particles}, whose period is about {1e3 * found.period:.3g} fs. Use at most "
             f"{1e3 * found.below(scheme):.1f} fs per force evaluation, {self._remedy(found.particles)}or monitor the "
             "temperature of the solute",

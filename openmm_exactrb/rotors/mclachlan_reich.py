@@ -1,7 +1,7 @@
 """The symmetric splitting of the free rotor into rotations about its principal axes, of order 2.
 
-The norm of the momentum and the spatial momentum are conserved to roundoff; the kinetic energy is conserved only to
-second order.
+The norm of the angular momentum, and the angular momentum in the space frame, are conserved to roundoff; the kinetic
+energy is conserved only to second order.
 
 A. Dullweber, B. Leimkuhler and R. McLachlan, J. Chem. Phys. 107, 5840 (1997), doi:10.1063/1.474310.
 """

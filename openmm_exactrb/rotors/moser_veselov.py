@@ -2,7 +2,7 @@
 
 The discrete algorithm reproduces the exact motion of a free body with other moments of inertia and another time. The
 algorithm therefore receives modified moments, 1/I~_i = s/I_i + d, with series s = 1 + ... and d = ... in the step. The
-norm of the momentum, the spatial momentum and the kinetic energy are conserved to roundoff.
+norm of the angular momentum, the angular momentum in the space frame and the kinetic energy are conserved to roundoff.
 
 Domain: any moments and momenta, and steps that rotate the body by less than a quarter turn, h norm(I^-1 m) < pi/2. The
 equations of a longer step have only a spurious root, far from the solution. The step is implicit; the fixed-point
@@ -127,8 +127,8 @@ def _report(q: Array, m: Array, failed: NDArray[np.bool_], order: int) -> None:
         return
     q[:, failed] = m[:, failed] = np.nan
     warn(
-        f"dmv{order} did not converge within {MOST_ITERATIONS} iterations, so results are nan (bodies affected: "
-        f"{np.count_nonzero(failed)} of {failed.size}): use a shorter step",
+        f"the step is too long for dmv{order}, so results are nan (bodies affected: {np.count_nonzero(failed)} of "
+        f"{failed.size}): use a shorter step",
         NotConvergedWarning,
     )
 

@@ -173,8 +173,8 @@ class Run:
         """Advance a Simulation to step `until`, from its initial state or from the checkpoint.
 
         On SIGINT (Ctrl-C), SIGTERM and SIGHUP the run finishes the steps in progress, writes a checkpoint and raises
-        SystemExit with the status 128 + the number of the signal. A second signal ends the process immediately. A run
-        that fails before its first step leaves no file.
+        SystemExit with the status 128 + the number of the signal. A second signal ends the process immediately. If a
+        run fails before its first step for another reason than those named below, its files are deleted.
 
         Parameters
         ----------

@@ -312,8 +312,8 @@ def scheme(name: str | Scheme) -> Scheme:
     """Return the scheme with a name, or a `Scheme` unchanged; raise ValueError if the name is unknown."""
     if name in [*WITH_THERMOSTAT]:
         raise ValueError(
-            f"scheme {name} contains a thermostat: use it only with ExactRigidBodyLangevinIntegrator (exactrb run "
-            "--ensemble nvt or npt)"
+            f"scheme {name} contains a thermostat: use it with an integrator that has one, such as "
+            "ExactRigidBodyLangevinIntegrator (exactrb run --ensemble nvt or npt)"
         )
     return _found(name, CATALOGUE)
 

@@ -146,7 +146,7 @@ class Scheme:
 
     @property
     def processing(self) -> int:
-        """Number of force evaluations of the processor and its inverse, which act once per run."""
+        """Number of force evaluations of the processor and its exact inverse together, for one application of each."""
         return 2 * sum(substep.kicks for substep, _ in self.processor)
 
     @property

@@ -58,7 +58,7 @@ def characteristics(integrator: ExactRigidBodyIntegrator, context: openmm.Contex
     groups = integrator.getIntegrationForceGroups()
     forces = context.getState(forces=True, groups=groups).getForces(asNumpy=True)._value
     if not np.isfinite(forces).all():
-        raise ValueError("the forces at the start are not finite: minimise the energy first")
+        raise ValueError("the forces at the start are not finite: set positions in which no particles overlap")
     (force, torque), kinetic = bodies.forces(state, forces), sum(bodies.kinetic_energies(state))
     if not kinetic > 0.0:
         raise ValueError("nothing moves, so there is no energy error to measure: set velocities of particles with mass")

@@ -24,7 +24,7 @@ CASES = [
     ),
     (
         ["droplet.pdb", "--forcefield", "tip3p.xml", "--step", "4fs", "--force-interval", "2fs"],
-        "--step and --force-interval exclude each other",
+        "--step and --force-interval are mutually exclusive",
     ),
     (["droplet.pdb", "--forcefield", "tip3p.xml", "--platform", "Abacus"], "platform 'Abacus' is not available"),
     (["droplet.pdb", "--forcefield", "tip3p.xml", "--ensemble", "npt"], "needs a periodic box"),

@@ -32,7 +32,7 @@ def test_it_reads_what_a_run_reads(droplet, capsys):
     [
         (["state.xml", "system.xml"], "contains an object of type State, not System"),
         (["system.xml", "nowhere.xml"], "the file nowhere.xml does not exist"),
-        (["picture.xml", "state.xml"], "cannot be read as a file of openmm.XmlSerializer"),
+        (["picture.xml", "state.xml"], "is not a valid file of openmm.XmlSerializer"),
         ([], "exactrb tune: molecules are missing: pass one file"),
         (["system.xml", "state.xml", "--schemes", "W4"], "did you mean 'W4_4'?"),
     ],

@@ -193,7 +193,7 @@ def test_another_shape_with_the_same_other_distances_is_refused():
     normal = np.cross(x[1] - x[0], x[2] - x[0])
     x[4] -= 2.0 * normal * ((x[4] - x[0]) @ normal) / (normal @ normal)
     context.setPositions(x)
-    with pytest.raises(ValueError, match=r"is 0\.087 nm away from its shape"):
+    with pytest.raises(ValueError, match=r"deviate from its shape by 0\.087 nm"):
         integrator.step(1)
 
 

@@ -381,7 +381,7 @@ def test_particles_that_coincide_are_a_point():
     assert np.linalg.norm(y[0] - x[0]) > 1e-3
     np.testing.assert_allclose(np.array([12.0, 4.0, 1.0]) @ (y - x), 0.0, atol=1e-13)
     context.setPositions(x + np.array([[0.0, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.0]]))
-    with pytest.raises(ValueError, match="nm away from its shape"):
+    with pytest.raises(ValueError, match="deviate from its shape by"):
         integrator.step(1)
 
 

@@ -150,7 +150,7 @@ def test_function_that_workers_cannot_import(tmp_path, scheduler, monkeypatch):
 def test_worker_of_another_version_does_not_compute():
     here = versions()
     for other in (["0.0", here[1]], [here[0], "7.7"]):
-        assert "but the job needs" in workers.perform(cloudpickle.dumps(Job(square, x=2)), other)["error"]
+        assert "but the jobs need" in workers.perform(cloudpickle.dumps(Job(square, x=2)), other)["error"]
 
 
 def test_equal_jobs_are_executed_once(tmp_path, scheduler):
@@ -184,7 +184,7 @@ def test_scheduler_that_is_not_there(tmp_path, monkeypatch):
     [
         ({"jobs": [square]}, TypeError, "jobs must be Job objects, not the function square"),
         ({"workers": 0}, ValueError, "workers must be a whole number of at least 1, not 0"),
-        ({"workers": 1, "scheduler": "tcp://node:1"}, ValueError, "scheduler= and workers= exclude each other"),
+        ({"workers": 1, "scheduler": "tcp://node:1"}, ValueError, "scheduler= and workers= are mutually exclusive"),
         ({"scheduler": 8786}, ConnectionError, "no dask scheduler answers at 8786"),
         ({"scheduler": "nonsense://node:1"}, ConnectionError, "no dask scheduler answers at 'nonsense://node:1'"),
     ],

@@ -106,7 +106,7 @@ def test_a_force_interval_sets_the_length_of_a_step(name):
 @pytest.mark.parametrize("both", [{}, {"stepSize": 0.002, "forceInterval": 0.002}])
 @pytest.mark.parametrize("name", ALL)
 def test_the_step_is_given_once(name, both):
-    with pytest.raises(ValueError, match=r"stepSize= is missing|stepSize= and forceInterval= exclude each other"):
+    with pytest.raises(ValueError, match=r"stepSize= is missing|stepSize= and forceInterval= are mutually exclusive"):
         ALL[name](**both)
 
 

@@ -119,7 +119,7 @@ def test_broken_molecules_are_refused_until_they_are_mended():
     broken[4] += 0.05
     simulation.context.setPositions(broken)
     for ask in (lambda: simulation.step(1), lambda: simulation.step(1), simulation.integrator.totalEnergy):
-        with pytest.raises(ValueError, match="away from its shape"):
+        with pytest.raises(ValueError, match="deviate from its shape"):
             ask()
         np.testing.assert_array_equal(coordinates(simulation), broken)
     simulation.context.setPositions(good)

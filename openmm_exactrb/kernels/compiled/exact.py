@@ -1,8 +1,8 @@
 """The exact flow of the free rigid body, compiled, with the formulas and the names of `plain.exact`.
 
 Steps with b G h <= 0.3 are computed by `_short` in blocks of bodies. `_short` has neither branches nor calls, so that
-the loop over bodies is vectorised. Longer steps, and steps of bodies with extreme momenta or angles or that rotate
-about axis 3, are computed by `_long`, one body at a time.
+the loop over bodies is vectorised. Longer steps, steps with very large rotation angles, and steps of bodies that
+have extreme momenta or rotate about axis 3, are computed by `_long`, one body at a time.
 """
 
 import math

@@ -78,7 +78,7 @@ def versine(cosine, sine):
 
 @inlined
 def rotate(y1, y2, y3, f1, f2, unit, cn, dn, w, r, s, extra_re, extra_im, cosine, sine):
-    """Apply the addition theorem to y = (f1 unit, f2 unit, y3) and assemble the rotation of the step.
+    """Apply the addition theorem to `y = (f1*unit, f2*unit, y3)` and assemble the rotation of the step.
 
     `cosine` and `sine` belong to half the angle, to which half the argument of the twist is added.
     """
