@@ -131,7 +131,7 @@ def test_positions_that_are_not_rigid_are_put_on_the_shape_or_refused_by_name(mi
         y[water.particles[1, 0]] += [distance, 0.0, 0.0]
         return fit(bodies, y, np.zeros_like(x))
 
-    with pytest.raises(ValueError, match=f"particles {particles}\\) is .* nm away"):
+    with pytest.raises(ValueError, match=f"particles {particles}\\) deviate from its shape by .* nm"):
         moved(10.0 * REFUSED)
     with pytest.warns(
         ShapeWarning, match=f"affected: 1\\), by up to .* nm for .*particles {particles}\\): set positions"
@@ -144,7 +144,7 @@ def test_a_mirror_image_and_an_atom_astray_are_named():
     system = openmm.System()
     add_rigid(system, CHIRAL, [1.0, 2.0, 3.0, 4.0])
     bodies = find_bodies(system, CHIRAL)
-    with pytest.raises(ValueError, match=r"body 0 \(particles 0, 1, 2, 3\) .* shape of its mirror image: set .*"):
+    with pytest.raises(ValueError, match=r"body 0 \(particles 0, 1, 2, 3\) deviate .* form its mirror image: set .*"):
         fit(bodies, CHIRAL * [1.0, 1.0, -1.0], np.zeros((4, 3)))
     torn = CHIRAL.copy()
     torn[2] += [0.0, 3.0, 0.0]
