@@ -148,9 +148,7 @@ def test_a_mirror_image_and_an_atom_astray_are_named():
         fit(bodies, CHIRAL * [1.0, 1.0, -1.0], np.zeros((4, 3)))
     torn = CHIRAL.copy()
     torn[2] += [0.0, 3.0, 0.0]
-    with pytest.raises(
-        ValueError, match=r"particles 0, 1, 2, 3\) .* because of particle 2 alone, 3 nm from its position"
-    ):
+    with pytest.raises(ValueError, match=r"particles 0, 1, 2, 3\) .* because of particle 2 alone, 3 nm from its place"):
         fit(bodies, torn, np.zeros((4, 3)))
 
 
