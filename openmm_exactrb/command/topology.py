@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from collections import defaultdict
 
+import numpy as np
 import openmm
 from openmm import app, unit
+
+from openmm_exactrb.openmm_access import parameters
 
 _HYDROGEN = 1.008  # amu
 _HEAVIEST = 4.5  # the largest mass of a hydrogen, in amu, in Systems with heavy hydrogens
@@ -52,7 +55,7 @@ def elements_of(system: openmm.System) -> list[app.Element | None]:
     hydrogens if the other particle has the mass of an element after their excess mass is returned to it; see
     `openmm_exactrb.heavy_hydrogens`. Deuterium is recognised by its mass.
     """
-    masses = [system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())]
+    masses = parameters.masses(system).tolist()
     partners = defaultdict(set)
     for i, j in _bonds(system):
         partners[i].add(j)
@@ -86,8 +89,6 @@ def _symbol(system: openmm.System, particle: int, element: app.Element | None) -
 
 def _bonds(system: openmm.System) -> list[tuple[int, int]]:
     """Return the pairs of particles that constraints or a HarmonicBondForce join, each once."""
-    pairs = [system.getConstraintParameters(k)[:2] for k in range(system.getNumConstraints())]
-    for force in system.getForces():
-        if isinstance(force, openmm.HarmonicBondForce):
-            pairs.extend(force.getBondParameters(k)[:2] for k in range(force.getNumBonds()))
-    return [*dict.fromkeys((min(pair), max(pair)) for pair in pairs)]
+    bonds = [parameters.terms(force)[0] for force in system.getForces() if isinstance(force, openmm.HarmonicBondForce)]
+    pairs = np.concatenate([parameters.constraints(system)[0], *bonds])
+    return [*dict.fromkeys((min(pair), max(pair)) for pair in pairs.tolist())]
