@@ -103,11 +103,17 @@ def test_a_force_interval_sets_the_length_of_a_step(name):
     assert copy.copy(integrator).getStepSize() == integrator.getStepSize()
 
 
-@pytest.mark.parametrize("both", [{}, {"stepSize": 0.002, "forceInterval": 0.002}])
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({}, "stepSize= is missing"),
+        ({"stepSize": 0.002, "forceInterval": 0.002}, "stepSize= and forceInterval= are mutually exclusive"),
+    ],
+)
 @pytest.mark.parametrize("name", ALL)
-def test_the_step_is_given_once(name, both):
-    with pytest.raises(ValueError, match=r"stepSize= is missing|stepSize= and forceInterval= are mutually exclusive"):
-        ALL[name](**both)
+def test_the_step_is_given_once(name, given, message):
+    with pytest.raises(ValueError, match=message):
+        ALL[name](**given)
 
 
 def test_an_interval_of_forces_needs_forces():
