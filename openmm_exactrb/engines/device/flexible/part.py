@@ -68,8 +68,8 @@ class FlexiblePart:
         constants |= {"BLOCK": BLOCK, "GROUPS": GROUPS, "LIGHT": LIGHT}
         constants |= {"MEMORY": demands.memory[0], "PER_STEP": demands.memory[1]}
         constants |= {"SCALES": 1} if demands.scales else {}
-        files = ("random.cl", "context.cl", "layout.cl", *constraints.files(self.blocks), "bonded.cl", "inner.cl")
-        return Source((*files, "sums.cl", "flexible_updates.cl"), tuple(constants.items()))
+        files = ("random.cl", "context.cl", "layout.cl", "fixed_sums.cl", *constraints.files(self.blocks), "bonded.cl")
+        return Source((*files, "inner.cl", "sums.cl", "flexible_updates.cl"), tuple(constants.items()))
 
     def state(self, copied: bool) -> tuple[str, str]:
         """Return the names of the arrays of a state: positions and velocities."""

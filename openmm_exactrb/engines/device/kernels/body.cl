@@ -7,7 +7,7 @@
 
 // The state of a body, the force on it, and the torque in its body frame. Unknown forces and torques are zero.
 typedef struct {
-    double R[3], P[3], q[4], L[3];
+    number R[3], P[3], q[4], L[3];
     double F[3], T[3];
     double inverse_mass, inverse_inertia[3];
 } Body;
@@ -105,7 +105,7 @@ DEVICE inline void add_cross(double* sum, const double* a, const double* b) {
 }
 
 // Compute the displacement e F/M of a body, and its orientation after a rotation by the vector e T/I.
-DEVICE inline void displaced(const Body* body, double e, const double* F, const double* T, double* arm, double* q) {
+DEVICE inline void displaced(const Body* body, double e, const double* F, const double* T, double* arm, number* q) {
     double v[3];
     EACH(k, 3) {
         arm[k] = e*F[k]*body->inverse_mass;
@@ -116,8 +116,8 @@ DEVICE inline void displaced(const Body* body, double e, const double* F, const 
     turn_by(q, v);
 }
 
-DEVICE inline void load_body(Body* body, int i, GLOBAL const double* R, GLOBAL const double* P, GLOBAL const double* q,
-        GLOBAL const double* L, GLOBAL const double* constants) {
+DEVICE inline void load_body(Body* body, int i, GLOBAL const number* R, GLOBAL const number* P, GLOBAL const number* q,
+        GLOBAL const number* L, GLOBAL const double* constants) {
     EACH(k, 3) {
         body->R[k] = R[k*BODIES+i]; body->P[k] = P[k*BODIES+i]; body->L[k] = L[k*BODIES+i];
         body->F[k] = body->T[k] = 0.0;
@@ -131,4 +131,4 @@ DEVICE inline void load_body(Body* body, int i, GLOBAL const double* R, GLOBAL c
 #define CONTEXT GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL mixed4* velm, GLOBAL const int4* places, GLOBAL const double* box
 #define TABLES GLOBAL const int* kind, GLOBAL const int* kinds, GLOBAL const int* atoms, GLOBAL const double* sites, \
     GLOBAL const double* masses, GLOBAL const double* constants
-#define STATE GLOBAL double* R_, GLOBAL double* P_, GLOBAL double* q_, GLOBAL double* L_
+#define STATE GLOBAL number* R_, GLOBAL number* P_, GLOBAL number* q_, GLOBAL number* L_

@@ -12,7 +12,7 @@ typedef struct { int first, last, count; } Terms; // first term of a thread, end
 #define ATOM(k) terms_of[(k)*terms.count+t]
 #define NUMBER(k) numbers[(k)*terms.count+t]
 #define EACH_TERM for (int t = terms.first; t < terms.last; t += LOCAL_SIZE)
-#define IN_BLOCK LOCAL_ARG const double* xs, LOCAL_ARG mm_ulong* sums, LOCAL_ARG int* broken, int own, Terms terms, GLOBAL const int* terms_of, \
+#define IN_BLOCK LOCAL_ARG const number* xs, LOCAL_ARG term_sum* sums, LOCAL_ARG int* broken, int own, Terms terms, GLOBAL const int* terms_of, \
     GLOBAL const NUMERIC* numbers
 #define NUMERIC fine
 
@@ -31,29 +31,17 @@ DEVICE inline Terms terms_of_kind(GLOBAL const int* row, int kind, int count, in
 #define CROSS(w, u, v) const NUMERIC w##0 = u##1*v##2-u##2*v##1, w##1 = u##2*v##0-u##0*v##2, w##2 = u##0*v##1-u##1*v##0
 #define ADD(a, f, u) add((f)*u##0, (f)*u##1, (f)*u##2, a, sums, broken, own)
 
-// Add to a 64-bit sum in local memory. On CUDA, which has no such instruction, the halves are added with a carry.
-DEVICE inline void add_fixed(mm_long value, LOCAL_ARG mm_ulong* sum) {
-#ifdef __CUDA_ARCH__
-    unsigned int* words = (unsigned int*) sum;
-    const unsigned int low = (unsigned int) value, before = atomicAdd(words, low);
-    atomicAdd(words+1, (unsigned int) ((mm_ulong) value>>32)+(before+low < before ? 1u : 0u));
-#else
-    ATOMIC_ADD(sum, (mm_ulong) value);
-#endif
-}
-
-// Add a force to the sum for atom a, in fixed point like OpenMM's sums, so that the order does not affect the result.
-// If a force is too large for fixed point, the block is marked as broken.
-DEVICE inline void add(fine f0, fine f1, fine f2, int a, LOCAL_ARG mm_ulong* sums, LOCAL_ARG int* broken, int own) {
+// Add a force to the sum for atom a. If a force is too large for fixed point, the block is marked as broken.
+DEVICE inline void add(fine f0, fine f1, fine f2, int a, LOCAL_ARG term_sum* sums, LOCAL_ARG int* broken, int own) {
     if (a >= own)
         return;
     if (!(fabs(f0) < LARGEST_FORCE && fabs(f1) < LARGEST_FORCE && fabs(f2) < LARGEST_FORCE)) {
         *broken = 1;
         return;
     }
-    add_fixed((mm_long) (f0*(fine) FIXED_POINT), sums+3*a);
-    add_fixed((mm_long) (f1*(fine) FIXED_POINT), sums+3*a+1);
-    add_fixed((mm_long) (f2*(fine) FIXED_POINT), sums+3*a+2);
+    add_to_sum(f0, sums+3*a);
+    add_to_sum(f1, sums+3*a+1);
+    add_to_sum(f2, sums+3*a+2);
 }
 
 // Numbers: length, square of the length rounded to `fine`, rounding error of this square, strength.

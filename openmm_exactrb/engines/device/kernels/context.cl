@@ -1,6 +1,14 @@
-// Access to positions and forces of the Context in single, mixed or double precision. OpenMM moves molecules by box
+// Numbers of the state, and access to positions and forces of the Context, in single, mixed or double precision. OpenMM moves molecules by box
 // vectors. write_position applies this displacement, and read_position undoes it. The place of an atom consists of its
 // slot and its numbers of box vectors.
+
+// The type of a number of the state, which on processors has a low part (processor/context.h), and the product of a
+// quaternion with its low parts.
+typedef double number;
+#define TIMES_LOW_PARTS(q) 0.0
+// The type of a component of a force.
+typedef mm_long component;
+#define LOCAL_ARRAY(type, name, size) LOCAL type name[size]
 
 // Unroll a loop, so that indices are constant and the compiler can keep arrays in registers.
 #define EACH(k, n) _Pragma("unroll") for (int k = 0; k < n; k++)
@@ -38,7 +46,7 @@ DEVICE inline void read_position(GLOBAL const real4* posq, GLOBAL const real4* p
 #endif
 }
 
-DEVICE inline void read_force(GLOBAL const mm_long* force, int slot, double* f) {
+DEVICE inline void read_force(GLOBAL const component* force, int slot, double* f) {
     EACH(k, 3)
         f[k] = (double) force[slot+k*PADDED_NUM_ATOMS]*(1.0/4294967296.0);
 }

@@ -3,8 +3,8 @@
 
 // Add changes of velocities (CMMotionRemover, AndersenThermostat) to these velocities, or to the velocities of another
 // state.
-KERNEL void flexible_pushed(GLOBAL const mixed4* velm, GLOBAL const int4* places, GLOBAL const int* atoms, GLOBAL const double* v,
-        GLOBAL double* v_to) {
+KERNEL void flexible_pushed(GLOBAL const mixed4* velm, GLOBAL const int4* places, GLOBAL const int* atoms, GLOBAL const number* v,
+        GLOBAL number* v_to) {
     for (int i = GLOBAL_ID; i < ALL_ATOMS; i += GLOBAL_SIZE) {
         const mixed4 now = velm[places[atoms[i]].x];
         const double change[3] = {now.x-(mixed) v[3*i], now.y-(mixed) v[3*i+1], now.z-(mixed) v[3*i+2]};
@@ -15,7 +15,7 @@ KERNEL void flexible_pushed(GLOBAL const mixed4* velm, GLOBAL const int4* places
 
 // Accept changes of positions, by barostats or, for massless atoms, by the user.
 KERNEL void flexible_moved(GLOBAL const real4* posq, GLOBAL const real4* posqCorrection, GLOBAL const int4* places, GLOBAL const double* box,
-        GLOBAL const int* atoms, GLOBAL double* x) {
+        GLOBAL const int* atoms, GLOBAL number* x) {
     for (int i = GLOBAL_ID; i < ALL_ATOMS; i += GLOBAL_SIZE) {
         double now[3];
         read_position(posq, posqCorrection, places[atoms[i]], box, now);
@@ -27,7 +27,7 @@ KERNEL void flexible_moved(GLOBAL const real4* posq, GLOBAL const real4* posqCor
 
 // Sum the kinetic energy and the number of invalid atoms: those with a non-finite state, or faster than light. The
 // second sum, the kinetic energy of rotation, is zero for atoms.
-KERNEL void flexible_kinetic(GLOBAL const double* inverse, GLOBAL const double* x, GLOBAL const double* v, GLOBAL double* sums) {
+KERNEL void flexible_kinetic(GLOBAL const double* inverse, GLOBAL const number* x, GLOBAL const number* v, GLOBAL double* sums) {
     LOCAL double shared[3*BLOCK];
     double mine[3] = {0.0, 0.0, 0.0};
     for (int i = GLOBAL_ID; i < ALL_ATOMS; i += GLOBAL_SIZE) {

@@ -49,7 +49,7 @@
 
 // Advance a cluster by t (ps). For t = 0, only project the velocities, which removes components along constraints.
 DEVICE inline void move_graph(double t, GLOBAL const int* cluster, int at, GLOBAL const double* inverse, GLOBAL const double* lengths,
-        GLOBAL const int* ends, GLOBAL double* room, LOCAL_ARG double* xs, GLOBAL double* v) {
+        GLOBAL const int* ends, GLOBAL double* room, LOCAL_ARG number* xs, GLOBAL number* v) {
     const int first = cluster[FIRST_CONSTRAINT], graph = cluster[GRAPH];
     double part = 1.0, remaining = 1.0;
     while (remaining > 0.0) {

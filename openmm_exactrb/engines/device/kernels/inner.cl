@@ -14,15 +14,16 @@
 #define OF_BLOCK xs, sums, &broken, own
 
 // Perform the moves from `first` to `last` - 1 of an atom: kicks and heat exchanges.
-DEVICE inline void move_atom(int atom, int first, int last, GLOBAL const int* moves, GLOBAL const double* numbers, LOCAL_ARG const mm_ulong* sum,
-        GLOBAL const mm_long* force, int slot, int body, int flexible, double inverse, GLOBAL const double* factors, mm_long key, mm_long step, mm_long turns,
-        GLOBAL double* memory, GLOBAL double* v) {
+DEVICE inline void move_atom(int atom, int first, int last, GLOBAL const int* moves, GLOBAL const double* numbers, LOCAL_ARG const term_sum* sum,
+        GLOBAL const component* force, int slot, int body, int flexible, double inverse, GLOBAL const double* factors, mm_long key, mm_long step, mm_long turns,
+        GLOBAL double* memory, GLOBAL number* v) {
     const int fade = flexible ? FADE_OF_FLEXIBLE : FADE;
-    double V[3], fast[3], slow[3], n[4];
+    number V[3];
+    double fast[3], slow[3], n[4];
     read_force(force, slot, slow);
     for (int e = 0; e < 3; e++) {
         V[e] = v[3*atom+e];
-        fast[e] = inverse*((double) (mm_long) sum[e]*(1.0/FIXED_POINT));
+        fast[e] = inverse*OF_SUM(sum[e]);
         slow[e] = inverse*slow[e]-fast[e];
     }
     for (int k = first; k < last; k++) {
@@ -40,7 +41,7 @@ DEVICE inline void move_atom(int atom, int first, int last, GLOBAL const int* mo
         case EXCHANGE:
 #ifdef SCALES
             for (int e = 0; e < 3; e++)
-                V[e] *= factors[0];
+                V[e] += (factors[0]-1.0)*V[e];
 #else
             normals(key, step+late, 16*which, body, n);
             for (int e = 0; e < 3; e++)
@@ -64,14 +65,14 @@ DEVICE inline void move_atom(int atom, int first, int last, GLOBAL const int* mo
         v[3*atom+e] = V[e];
 }
 
-KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL mixed4* velm, GLOBAL const mm_long* force,
-        GLOBAL const int4* places, GLOBAL const double* box, GLOBAL const double* x, GLOBAL double* y, GLOBAL double* v, GLOBAL double* memory,
+KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL mixed4* velm, GLOBAL const component* force,
+        GLOBAL const int4* places, GLOBAL const double* box, GLOBAL const number* x, GLOBAL number* y, GLOBAL number* v, GLOBAL double* memory,
         GLOBAL const int* atoms, GLOBAL const int* bodies, GLOBAL const double* inverse, GLOBAL const int* blocks, GLOBAL const int* block_atoms,
         GLOBAL const int* clusters, GLOBAL const double* lengths, GLOBAL const int* ends, GLOBAL double* room, GLOBAL const int* members,
         GLOBAL const fine* constants, GLOBAL const double* exact, GLOBAL const int* moves, GLOBAL const double* numbers, GLOBAL const double* factors,
         int first_move, int count, int what, mm_long step, double key, double turns) {
-    LOCAL double xs[3*PLACES_OF_BLOCK];
-    LOCAL mm_ulong sums[3*OWN_OF_BLOCK];
+    LOCAL_ARRAY(number, xs, 3*PLACES_OF_BLOCK);
+    LOCAL_ARRAY(term_sum, sums, 3*OWN_OF_BLOCK);
     LOCAL int broken;
     for (int block = GROUP_ID; block < BLOCKS; block += GLOBAL_SIZE/LOCAL_SIZE) {
         GLOBAL const int* row = blocks+BLOCK_ROW*block;

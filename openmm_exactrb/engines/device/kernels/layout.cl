@@ -1,6 +1,5 @@
 // Columns of the tables of flexible molecules, and the type `fine` (float or double) of the numbers of most terms.
 typedef FINE fine;
-#define FIXED_POINT 4294967296.0
 #define LARGEST_FORCE 1e9f
 #define NOT_A_NUMBER (0.0/0.0)
 

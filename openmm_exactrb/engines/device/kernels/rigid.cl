@@ -8,8 +8,8 @@ DEVICE inline void exchange(Body* body, GLOBAL const double* constants, GLOBAL c
         int flexible, mm_long key, mm_long step, int number, int index) {
 #ifdef SCALES
     EACH(k, 3) {
-        body->P[k] *= factors[0];
-        body->L[k] *= factors[1];
+        body->P[k] += (factors[0]-1.0)*body->P[k];
+        body->L[k] += (factors[1]-1.0)*body->L[k];
     }
 #else
     GLOBAL const double* of = numbers+(flexible ? 5 : 1);
@@ -27,7 +27,7 @@ DEVICE inline void exchange(Body* body, GLOBAL const double* constants, GLOBAL c
 #endif
 }
 
-KERNEL void segment(CONTEXT, GLOBAL const mm_long* force, TABLES, STATE, GLOBAL const int* index, GLOBAL double* last,
+KERNEL void segment(CONTEXT, GLOBAL const component* force, TABLES, STATE, GLOBAL const int* index, GLOBAL double* last,
         GLOBAL double* differences, GLOBAL double* here, GLOBAL const int* moves, GLOBAL const double* numbers,
         GLOBAL const double* factors, int first, int count, int what, mm_long step, double key, double turns) {
     SHARED
@@ -36,7 +36,8 @@ KERNEL void segment(CONTEXT, GLOBAL const mm_long* force, TABLES, STATE, GLOBAL 
         GLOBAL const double* own = constants+CONSTANTS*at.constants;
         Body body;
         load_body(&body, i, R_, P_, q_, L_, own);
-        double Q[9], arm[3] = {0.0, 0.0, 0.0}, place[4];
+        double Q[9], arm[3] = {0.0, 0.0, 0.0};
+        number place[4];
         EACH(k, 4)
             place[k] = body.q[k];
 #if GRADIENTS > 0

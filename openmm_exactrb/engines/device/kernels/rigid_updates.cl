@@ -3,7 +3,7 @@
 
 // Convert changes of velocities (CMMotionRemover, AndersenThermostat) to changes of momenta, and add them to this state
 // of the bodies, or to another state.
-KERNEL void pushed(CONTEXT, TABLES, STATE, GLOBAL double* P_to, GLOBAL double* L_to) {
+KERNEL void pushed(CONTEXT, TABLES, STATE, GLOBAL number* P_to, GLOBAL number* L_to) {
     SHARED
     FOR_BODIES {
         const Place at = place_of(i, kind, kinds);
@@ -58,7 +58,7 @@ KERNEL void moved(CONTEXT, TABLES, STATE) {
         sum_over_lanes(sums, 3, shared);
         if (LANE == 0 && sums[0]*sums[0]+sums[1]*sums[1]+sums[2]*sums[2] > STILL*STILL) {
             EACH(k, 3)
-                R_[k*BODIES+i] = body.R[k]+sums[k];
+                R_[k*BODIES+i] += sums[k];
         }
     }
 }

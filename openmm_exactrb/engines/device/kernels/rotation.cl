@@ -54,27 +54,27 @@ DEVICE inline double versine(double c, double square_s) {
 }
 
 // Return 1-q.q of a unit quaternion, with an error of 1e-24.
-DEVICE inline double norm_defect(const double* q) {
+DEVICE inline double norm_defect(const number* q) {
     double squares = 0.0, rest = 0.0;
     EACH(k, 4) {
-        double high = (q[k]+TO_GRID)-TO_GRID;
+        const double whole = q[k], high = (whole+TO_GRID)-TO_GRID;
         squares += high*high;
-        rest += (q[k]-high)*(q[k]+high);
+        rest += (whole-high)*(whole+high);
     }
     return (1.0-squares)-rest;
 }
 
 // Multiply q by the quaternion (1+t0, t1, t2, t3), in place.
-DEVICE inline void turn(double* q, double t0, double t1, double t2, double t3) {
-    double q0 = q[0], q1 = q[1], q2 = q[2], q3 = q[3], defect = 0.5*norm_defect(q);
-    q[0] = q0+((q0*t0-q1*t1-q2*t2-q3*t3)+q0*defect);
-    q[1] = q1+((q0*t1+q1*t0+q2*t3-q3*t2)+q1*defect);
-    q[2] = q2+((q0*t2-q1*t3+q2*t0+q3*t1)+q2*defect);
-    q[3] = q3+((q0*t3+q1*t2-q2*t1+q3*t0)+q3*defect);
+DEVICE inline void turn(number* q, double t0, double t1, double t2, double t3) {
+    double q0 = q[0], q1 = q[1], q2 = q[2], q3 = q[3], defect = 0.5*norm_defect(q)-TIMES_LOW_PARTS(q);
+    q[0] += (q0*t0-q1*t1-q2*t2-q3*t3)+q0*defect;
+    q[1] += (q0*t1+q1*t0+q2*t3-q3*t2)+q1*defect;
+    q[2] += (q0*t2-q1*t3+q2*t0+q3*t1)+q2*defect;
+    q[3] += (q0*t3+q1*t2-q2*t1+q3*t0)+q3*defect;
 }
 
 // Advance a body by a short step; `G` is |m|, and `body` contains b, rho, sigma and 1/I3.
-DEVICE inline void rotate_short(double t, double G, GLOBAL const double* body, double* q, double* m) {
+DEVICE inline void rotate_short(double t, double G, GLOBAL const double* body, number* q, number* m) {
     const double b = body[0], rho = body[1], sigma = body[2], inverse_I3 = body[3];
     double x1 = m[0], x2 = m[1], x3 = m[2], hG = t*G, flip = x3 < 0.0 ? -1.0 : 1.0;
     double inverse_G = 1.0/G, y1 = flip*x1*inverse_G, y2 = x2*inverse_G, y3 = flip*x3*inverse_G;
@@ -108,13 +108,13 @@ DEVICE inline void rotate_short(double t, double G, GLOBAL const double* body, d
     d1 = flip*d1*G; d2 = d2*G; d3 = flip*d3*G;
     n1 = x1+d1; n2 = x2+d2; n3 = x3+d3;
     double correction = (d1*(x1+n1)+d2*(x2+n2)+d3*(x3+n3))*(0.5*inverse_G*inverse_G);
-    m[0] = x1+(d1-n1*correction); m[1] = x2+(d2-n2*correction); m[2] = x3+(d3-n3*correction);
+    m[0] += d1-n1*correction; m[1] += d2-n2*correction; m[2] += d3-n3*correction;
     turn(q, t0, flip*t1, t2, flip*t3);
 }
 
 // Advance a body by t. A long step is divided into short steps, and is therefore also exact. A body that rotates too
 // fast has diverged, and its state becomes nan.
-DEVICE inline void rotate(double t, GLOBAL const double* body, double* q, double* m) {
+DEVICE inline void rotate(double t, GLOBAL const double* body, number* q, number* m) {
     double G = sqrt(m[0]*m[0]+m[1]*m[1]+m[2]*m[2]), parts = ceil(fabs(body[0]*t)*G*(1.0/SHORT));
     if (G <= 1e-70 || t == 0.0)
         return;
@@ -131,7 +131,7 @@ DEVICE inline void rotate(double t, GLOBAL const double* body, double* q, double
 }
 
 // Compute the rotation matrix of a quaternion.
-DEVICE inline void attitude(const double* q, double* Q) {
+DEVICE inline void attitude(const number* q, double* Q) {
     double w = q[0], x = q[1], y = q[2], z = q[3];
     Q[0] = 1-2*(y*y+z*z); Q[1] = 2*(x*y-w*z); Q[2] = 2*(x*z+w*y);
     Q[3] = 2*(x*y+w*z); Q[4] = 1-2*(x*x+z*z); Q[5] = 2*(y*z-w*x);
@@ -139,7 +139,7 @@ DEVICE inline void attitude(const double* q, double* Q) {
 }
 
 // Multiply q by the quaternion of a rotation by |v| about v, as in openmm_exactrb.mathematics.quaternions.exponential.
-DEVICE inline void turn_by(double* q, const double* v) {
+DEVICE inline void turn_by(number* q, const double* v) {
     double square = v[0]*v[0]+v[1]*v[1]+v[2]*v[2], angle = sqrt(square);
     double part = angle > 1e-8 ? sin(0.5*angle)/angle : 0.5, cosine = cos(0.5*angle);
     turn(q, -versine(cosine, part*part*square), part*v[0], part*v[1], part*v[2]);

@@ -79,13 +79,14 @@ DEVICE inline void invert(double w, const double* K, double* inverse) {
 // constraints. The first atom has the index `at` in the block. A thread without a cluster is `idle`, but participates
 // in shuffles.
 DEVICE inline void move_star(bool idle, double t, GLOBAL const int* cluster, int at, GLOBAL const double* inverse_masses, GLOBAL const double* lengths,
-        LOCAL_ARG double* xs, GLOBAL double* v) {
+        LOCAL_ARG number* xs, GLOBAL number* v) {
     const bool moves = !idle && cluster[GRAPH] < 0;
     if (!ANY(moves))
         return;
     const int lane = HELD*(LOCAL_ID%TEAM), atoms = moves ? cluster[ATOMS_OF_CLUSTER] : 0, first = cluster[FIRST_ATOM];
     const double w0 = moves ? inverse_masses[first] : 0.0;
-    double X0[3], V0[3], X[3][HELD], V[3][HELD], w[HELD], length[HELD], part = 1.0, remaining = moves ? 1.0 : 0.0;
+    number X0[3], V0[3], X[3][HELD], V[3][HELD];
+    double w[HELD], length[HELD], part = 1.0, remaining = moves ? 1.0 : 0.0;
     bool holds[HELD];
     EACH_AXIS {
         X0[e] = xs[3*at+e];

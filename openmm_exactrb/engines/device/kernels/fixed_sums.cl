@@ -1,0 +1,17 @@
+// Sums of forces in fixed point, like OpenMM's sums, so that the order does not affect the result.
+
+#define FIXED_POINT 4294967296.0
+typedef mm_ulong term_sum;
+#define OF_SUM(sum) ((double) (mm_long) (sum)*(1.0/FIXED_POINT))
+
+// Add to a sum in local memory. On CUDA, which has no such instruction for 64 bits, the halves are added with a carry.
+DEVICE inline void add_to_sum(fine f, LOCAL_ARG term_sum* sum) {
+    const mm_long value = (mm_long) (f*(fine) FIXED_POINT);
+#ifdef __CUDA_ARCH__
+    unsigned int* words = (unsigned int*) sum;
+    const unsigned int low = (unsigned int) value, before = atomicAdd(words, low);
+    atomicAdd(words+1, (unsigned int) ((mm_ulong) value>>32)+(before+low < before ? 1u : 0u));
+#else
+    ATOMIC_ADD(sum, (mm_ulong) value);
+#endif
+}
