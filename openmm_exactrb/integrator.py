@@ -13,10 +13,9 @@ import openmm
 from openmm import unit
 
 from openmm_exactrb.context.body_access import BodyAccess
-from openmm_exactrb.context.minimiser import minimise_by_integrators
+from openmm_exactrb.context.replaced import replace_methods
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.updates import warn_of_removed_motion
-from openmm_exactrb.context.velocities import draw_by_integrators
 from openmm_exactrb.engines.engine import Propagator, Settings
 from openmm_exactrb.engines.selection import Selection
 from openmm_exactrb.multiple_time_steps.fast_forces import MultipleTimeSteps
@@ -379,8 +378,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         return self._propagator
 
 
-minimise_by_integrators(ExactRigidBodyIntegrator)
-draw_by_integrators(ExactRigidBodyIntegrator)
+replace_methods(ExactRigidBodyIntegrator)
 
 #: The default scheme at constant energy.
 DEFAULT = "W2_1"

@@ -11,13 +11,21 @@ from openmm import app
 
 from openmm_exactrb.openmm_access import arrays
 
+# Parts of OpenMM's messages about complete files that it cannot read, and the remedies.
+_REMEDIES = {
+    "no serialization proxy": "install the OpenMM plugin that defines this type",
+    "Unsupported version": "use the version of OpenMM that wrote the file, or a newer one",
+}
+
 
 def loadState(target: app.Simulation | openmm.Context, source: str | os.PathLike[str] | openmm.State) -> None:
     """Load a State that was saved with another integrator.
 
-    A State from ``simulation.saveState`` contains data of its integrator. OpenMM's ``simulation.loadState(file)`` and
-    ``context.setState(state)`` fail if the new integrator cannot read these data, for example with "Unknown property
-    'version'" if only the new integrator is a CustomIntegrator, as in this package. This function ignores these data.
+    A State from ``simulation.saveState`` contains data of its integrator. With an integrator of this package, OpenMM's
+    ``simulation.loadState(file)`` and ``context.setState(state)`` ignore the data of OpenMM's integrators, but fail if
+    the State is from another scheme, thermostat or engine of this package, or contains a parameter that the target
+    lacks. This function ignores such data. It also loads States of this package into OpenMM's NoseHooverIntegrator and
+    MTSIntegrator, on which OpenMM's methods fail.
 
     Parameters
     ----------
@@ -82,9 +90,12 @@ def read_xml(file: str | os.PathLike[str], kind: type[Any], writer: str = "openm
     try:
         content: Any = openmm.XmlSerializer.deserialize(Path(file).read_text(encoding="utf-8"))
     except (openmm.OpenMMException, ValueError) as error:
+        text = " ".join(str(error).split())
+        for part, remedy in _REMEDIES.items():
+            if part in text:
+                raise ValueError(f"{file} cannot be read by OpenMM {openmm.__version__} ({text}): {remedy}") from None
         raise ValueError(
-            f"{file} is not a valid file of {writer} ({' '.join(str(error).split())}): pass a complete file that "
-            f"{writer} wrote"
+            f"{file} is not a valid file of {writer} ({text}): pass a complete file that {writer} wrote"
         ) from None
     if not isinstance(content, kind):
         raise ValueError(

@@ -26,6 +26,7 @@ from openmm_exactrb.schemes import scheme_for_thermostat
 from openmm_exactrb.schemes.step_errors import StepErrors, step_errors
 from openmm_exactrb.schemes.thermostatted import with_thermostat
 from openmm_exactrb.support.types import Array
+from openmm_exactrb.thermostats.hybrid import HybridMonteCarlo
 from openmm_exactrb.thermostats.langevin import Langevin
 
 
@@ -86,6 +87,11 @@ def dynamics_of(simulation: Any) -> Dynamics:
         If averages of the integrator cannot be corrected.
     """
     integrator = simulation.integrator
+    if isinstance(integrator, ExactRigidBodyIntegrator) and isinstance(integrator.getThermostat(), HybridMonteCarlo):
+        raise ValueError(
+            "averages of hybrid Monte Carlo have no step-size error, so there is nothing to correct: omit the "
+            "AverageReporter, and average the energies or observables themselves"
+        )
     theirs = isinstance(integrator, openmm.LangevinMiddleIntegrator)
     if not theirs and not (
         isinstance(integrator, ExactRigidBodyIntegrator) and isinstance(integrator.getThermostat(), Langevin)

@@ -49,7 +49,8 @@ def described(
     try:
         bodies, noted = _found(system, positions)
     except ValueError as error:
-        hint = "; its shape may need positions: add a State, PDB or gro file" if positions is None else ""
+        unplaced = positions is None and "constraint" in str(error)
+        hint = "; its shape may need positions: add a State, PDB or gro file" if unplaced else ""
         yield f"not supported: {' '.join(str(error).split())}{hint}"
         return
     yield from _bodies(bodies, names)

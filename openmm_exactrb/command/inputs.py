@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import errno
+import math
 import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from openmm import app, unit
 from openmm_exactrb.command import arguments
 from openmm_exactrb.command.topology import topology_of
 from openmm_exactrb.states import loadState, read_xml
+from openmm_exactrb.support.warn import warn
 from openmm_exactrb.systems.fluids import rigid_water
 from openmm_exactrb.systems.masses import heavy_hydrogens
 
@@ -42,6 +44,12 @@ _GROMACS = app.GromacsGroFile, app.GromacsTopFile, methodcaller("getPeriodicBoxV
 _POSITIONS: dict[str, tuple[Any, Any, Callable[[Any], Any]]]
 _POSITIONS = {".gro": _GROMACS, ".inpcrd": _AMBER, ".rst7": _AMBER, ".crd": _AMBER}
 _SWITCH = 0.1 * unit.nanometer  # width of the switching function, without which the energy jumps at the cutoff
+# The edge (nm) of the cell in files of molecules that are not in a crystal (wwPDB format, CRYST1), the smallest width
+# (nm) of a periodic box, and the largest number of atoms per nm³; diamond has 176.
+_PLACEHOLDER, _NARROWEST, _DENSEST = 0.1, 0.2, 180.0
+# Records of atoms in a PDB file, and records that follow all atoms of a molecule.
+_ATOMS, _BEHIND_ATOMS = ("ATOM", "HETATM"), ("TER", "MASTER", "CONECT")
+_COORDINATES = 54  # columns of a PDB line up to the end of its coordinates
 
 
 @dataclass(frozen=True)
@@ -202,17 +210,33 @@ def _read(args: argparse.Namespace, force_field: app.ForceField) -> app.Modeller
     """Return the molecules in the file, surrounded by water if requested."""
     (file,) = args.files
     reader = _READERS[file.suffix.lower()]
-    if reader is app.PDBFile and "\nEND" not in file.read_text(encoding="utf-8", errors="replace"):
-        raise ValueError(
-            f"{file} contains no END line, so it may be truncated: pass a complete PDB file, or append a line END if "
-            "no atoms are missing"
-        )
+    if reader is app.PDBFile:
+        _check_complete(file)
     content = _understood(str(file), reader, str(file))
+    vectors = content.topology.getPeriodicBoxVectors()
+    if vectors is not None and np.array_equal(vectors.value_in_unit(unit.nanometer), _PLACEHOLDER * np.eye(3)):
+        warn(f"the cell of 1 Å in {file} is a placeholder, so the molecules of this file have no periodic box")
+        content.topology.setPeriodicBoxVectors(None)
     modeller = app.Modeller(content.topology, content.positions)
     if args.solvate:
         model = _water(args)
         _understood("the box of water", modeller.addSolvent, force_field, model=model, numAdded=args.solvate)
     return modeller
+
+
+def _check_complete(file: Path) -> None:
+    """Raise ValueError for a PDB file without atoms or with a cut line; warn if no line marks the end of the atoms."""
+    lines = [line for line in file.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
+    atoms = [line for line in lines if line.startswith(_ATOMS)]
+    if not atoms:
+        raise ValueError(f"{file} contains no atoms: pass a PDB file with lines ATOM or HETATM")
+    if lines[-1] is atoms[-1] and len(lines[-1]) < _COORDINATES:
+        raise ValueError(f"{file} is truncated, because its last line is incomplete: pass a complete PDB file")
+    if not lines[-1].startswith(_BEHIND_ATOMS) and not any(line.startswith("END") for line in lines):
+        warn(
+            f"{file} contains no END line, so it may be truncated: check that none of its atoms are missing, the last "
+            f"of which is {atoms[-1][12:26].strip()}"
+        )
 
 
 def _water_box(args: argparse.Namespace) -> app.Modeller:
@@ -241,7 +265,14 @@ def _system(
 ) -> openmm.System:
     options: dict[str, Any] = {"nonbondedMethod": app.NoCutoff}
     if vectors is not None:
-        width = min(vectors[i][i].value_in_unit(unit.nanometer) for i in range(3))
+        edges = [vectors[i][i].value_in_unit(unit.nanometer) for i in range(3)]
+        if min(edges) < _NARROWEST or topology.getNumAtoms() > _DENSEST * math.prod(edges):
+            raise ValueError(
+                f"the periodic box of {' x '.join(f'{edge:.4g}' for edge in edges)} nm is too small for "
+                f"{topology.getNumAtoms()} atoms: correct the box in the file, such as CRYST1 in a PDB file, or remove "
+                "it"
+            )
+        width = min(edges)
         if args.cutoff > 0.5 * width:
             raise ValueError(
                 f"--cutoff must be at most half the width of the box, {0.5 * width:.6g} nm, not {args.cutoff:g} nm: "
@@ -272,7 +303,7 @@ def _understood(what: str, function: Callable[..., Any], *arguments: Any, **opti
         return function(*arguments, **options)
     except OSError:
         raise
-    except LookupError as error:  # whose text says nothing about the file
+    except (ArithmeticError, AttributeError, LookupError, TypeError) as error:  # whose text says nothing about the file
         raise ValueError(
             f"{what} is incomplete, or has another format than its name states: pass a complete file"
         ) from error

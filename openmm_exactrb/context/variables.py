@@ -17,7 +17,8 @@ import openmm
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.state import Force, Remembered, State
 
-_PREFIX = "exactrb_"
+#: The first part of the names of all variables.
+PREFIX = "exactrb_"
 # Per-DOF variables, on the first particle of each body: high parts, then low parts of the double-doubles.
 _VECTORS = tuple(f"{name}{part}" for part in ("", "_low") for name in "RPmqw")
 #: Prefixes of the state that the Context shows, and of the state in the inner coordinates of a processed scheme.
@@ -54,12 +55,12 @@ def declare(integrator: openmm.CustomIntegrator, own: Sequence[str] = (), memory
     `own` lists the names of numbers that only some integrators have. For a processed scheme, which also has an inner
     state, `memory` is the number of stored forces.
     """
-    stored = _PREFIX + _STORED
+    stored = PREFIX + _STORED
     for name in _VECTORS:
-        integrator.addPerDofVariable(_PREFIX + name, 0.0)
+        integrator.addPerDofVariable(PREFIX + name, 0.0)
     if memory is not None:
         for name in (*(INNER + name for name in _VECTORS), *(name for k in range(memory) for name in _last(k))):
-            integrator.addPerDofVariable(_PREFIX + name, 0.0)
+            integrator.addPerDofVariable(PREFIX + name, 0.0)
     integrator.addGlobalVariable(stored, NOTHING)
     integrator.beginIfBlock(f"{stored} < {_STEPPING}")
     integrator.addComputePerDof("x", f"x + log({stored} - 3)")
@@ -73,7 +74,7 @@ def declare(integrator: openmm.CustomIntegrator, own: Sequence[str] = (), memory
 def declare_numbers(integrator: openmm.CustomIntegrator, own: Sequence[str] = ()) -> None:
     """Give a new integrator the numbers that all integrators have, and those named by `own`, with values of zero."""
     for name in (*_NUMBERS, *own):
-        integrator.addGlobalVariable(_PREFIX + name, 0.0)
+        integrator.addGlobalVariable(PREFIX + name, 0.0)
 
 
 def written(own: Sequence[str]) -> float:
@@ -88,7 +89,7 @@ def marks(own: Sequence[str] = ()) -> tuple[float, float]:
 
 def declared(integrator: openmm.CustomIntegrator) -> bool:
     """Return whether an integrator has the variables of `declare`."""
-    return bool(integrator.getGlobalVariableName(0) == _PREFIX + _STORED)
+    return bool(integrator.getGlobalVariableName(0) == PREFIX + _STORED)
 
 
 def device(own: Sequence[str]) -> float:
@@ -98,24 +99,24 @@ def device(own: Sequence[str]) -> float:
 
 def declare_device(integrator: openmm.CustomIntegrator, own: Sequence[str] = ()) -> None:
     """Give the first number and the numbers of `declare_numbers` to a new integrator that stores the state itself."""
-    integrator.addGlobalVariable(_PREFIX + _STORED, NOTHING)
+    integrator.addGlobalVariable(PREFIX + _STORED, NOTHING)
     declare_numbers(integrator, own)
 
 
 def own_numbers(integrator: openmm.CustomIntegrator) -> list[str]:
     """Return the names of the numbers that an integrator has in addition to those of all integrators."""
     names = range(1 + len(_NUMBERS), integrator.getNumGlobalVariables())
-    return [integrator.getGlobalVariableName(k).removeprefix(_PREFIX) for k in names]
+    return [integrator.getGlobalVariableName(k).removeprefix(PREFIX) for k in names]
 
 
 def get(integrator: openmm.CustomIntegrator, name: str) -> float:
     """Return the number with a given name."""
-    return float(integrator.getGlobalVariableByName(_PREFIX + name))
+    return float(integrator.getGlobalVariableByName(PREFIX + name))
 
 
 def put(integrator: openmm.CustomIntegrator, name: str, value: float) -> None:
     """Set the number with a given name."""
-    integrator.setGlobalVariableByName(_PREFIX + name, value)
+    integrator.setGlobalVariableByName(PREFIX + name, value)
 
 
 def step_openmm(integrator: openmm.CustomIntegrator, steps: int) -> None:
@@ -160,7 +161,7 @@ def write(integrator: openmm.CustomIntegrator, bodies: RigidBodies, state: State
     full[:, 2, turning], full[:, 3, turning] = m.swapaxes(1, 2), q[:, 1:].swapaxes(1, 2)
     full[:, 4, turning, 0] = q[:, 0]
     for name, values in zip(_VECTORS, full.reshape(-1, bodies.n_particles, 3), strict=True):
-        integrator.setPerDofVariableByName(_PREFIX + which + name, values)
+        integrator.setPerDofVariableByName(PREFIX + which + name, values)
 
 
 def mark(integrator: openmm.CustomIntegrator, value: float) -> None:
@@ -178,7 +179,7 @@ def read(integrator: openmm.CustomIntegrator, bodies: RigidBodies, which: str = 
     if not marked(integrator) or not _has(integrator, which + _VECTORS[-1]):
         return None
     first, k = bodies.first_particle, bodies.n_turning
-    values = (integrator.getPerDofVariableByName(_PREFIX + which + name) for name in _VECTORS)
+    values = (integrator.getPerDofVariableByName(PREFIX + which + name) for name in _VECTORS)
     columns = [np.array(value, dtype=np.float64)[first].T for value in values]
     R, P, m, vector, w = np.array(columns).reshape(2, 5, 3, len(first)).swapaxes(0, 1)
     q = np.concatenate([w[:, :1, :k], vector[:, :, :k]], axis=1)
@@ -194,7 +195,7 @@ def write_forces(integrator: openmm.CustomIntegrator, bodies: RigidBodies, memor
         for name, value in zip(_last(k), values, strict=True):
             full = np.zeros((bodies.n_particles, 3))
             full[bodies.first_particle[: value.shape[1]]] = value.T
-            integrator.setPerDofVariableByName(_PREFIX + name, full)
+            integrator.setPerDofVariableByName(PREFIX + name, full)
     put(integrator, REMEMBERED, len(forces))
     put(integrator, DIFFERENCES, len(differences))
 
@@ -207,7 +208,7 @@ def read_forces(integrator: openmm.CustomIntegrator, bodies: RigidBodies) -> Rem
         if not _has(integrator, _last(k)[1]):  # written by another scheme, whose forces cannot be used
             return [], []
         force, torque = (
-            np.array(integrator.getPerDofVariableByName(_PREFIX + name), dtype=np.float64)[bodies.first_particle].T
+            np.array(integrator.getPerDofVariableByName(PREFIX + name), dtype=np.float64)[bodies.first_particle].T
             for name in _last(k)
         )
         memory.append((np.ascontiguousarray(force), np.ascontiguousarray(torque[:, : bodies.n_turning])))
@@ -216,7 +217,7 @@ def read_forces(integrator: openmm.CustomIntegrator, bodies: RigidBodies) -> Rem
 
 def _has(integrator: openmm.CustomIntegrator, name: str) -> bool:
     """Return whether an integrator has a per-DOF variable with this name."""
-    return _PREFIX + name in map(integrator.getPerDofVariableName, range(integrator.getNumPerDofVariables()))
+    return PREFIX + name in map(integrator.getPerDofVariableName, range(integrator.getNumPerDofVariables()))
 
 
 def _last(k: int) -> tuple[str, str]:

@@ -18,8 +18,11 @@ from openmm_exactrb.support.warn import warn
 #: Larger deviations from a rigid shape, in nm, raise an error, because the positions belong to another molecule or to a
 #: split molecule.
 REFUSED = 0.02
-#: Deviations up to this distance, in nm, are corrected without a warning.
+#: Bodies that agree within this distance, in nm, have the same shape.
 RIGIDITY = 1e-4
+# Deviations up to the first distance, in nm, are corrected without a warning, because PDB files round positions to
+# 1e-4 nm. Those up to the second are usual in files that round to 1e-3 nm, such as .gro.
+_ROUNDED, _ROUGHLY_ROUNDED = 2e-4, 2e-3
 # A body whose positions relative to its centre changed by less than this distance, in nm, was translated but not
 # rotated.
 _SHIFTED = 1e-9
@@ -39,7 +42,7 @@ def fit(bodies: RigidBodies, x: Array, v: Array) -> BodyState:
 
     A ValueError is raised if numbers are not finite, positions deviate by more than `REFUSED` from a rigid body, or a
     constraint of a cluster is redundant or cannot be satisfied at these positions. The state is that of the best fit,
-    which preserves centres and orientations. A ShapeWarning is issued if positions deviate by more than `RIGIDITY`. The
+    which preserves centres and orientations. A ShapeWarning is issued if positions deviate by more than 2e-4 nm. The
     same limits hold for the constraints of nonrigid clusters, whose atoms are moved onto the constraints.
     """
     every = np.arange(len(bodies))
@@ -126,7 +129,7 @@ def _check_finite(bodies: RigidBodies, chosen: Indices, values: Array) -> None:
 
 def _judge(bodies: RigidBodies, x: Array, chosen: Indices, distance: Array) -> None:
     """Raise ValueError for positions that do not form rigid bodies, and warn of small deviations."""
-    if not (distance > RIGIDITY).any():
+    if not (distance > _ROUNDED).any():
         return
     worst = int(np.argmax(distance))
     name = bodies.name(int(chosen[worst]))
@@ -136,10 +139,12 @@ def _judge(bodies: RigidBodies, x: Array, chosen: Indices, distance: Array) -> N
             "the positions that were set first"
         )
         raise ValueError(f"the positions of {name} deviate from its shape by {distance[worst]:.2g} nm{cause}")
+    remedy = "set positions that match the shapes"
+    if distance[worst] <= _ROUGHLY_ROUNDED:
+        remedy += ", unless these come from a file with three decimals in nm"
     warn(
         "positions deviated from the shapes of bodies and were corrected (bodies affected: "
-        f"{(distance > RIGIDITY).sum()}), by up to {distance[worst]:.2g} nm for {name}: set positions that match the "
-        "shapes",
+        f"{(distance > _ROUNDED).sum()}), by up to {distance[worst]:.2g} nm for {name}: {remedy}",
         ShapeWarning,
     )
 

@@ -19,6 +19,7 @@ from openmm_exactrb.kernels.records import Terms
 from openmm_exactrb.mechanics.state import Force, State
 from openmm_exactrb.multiple_time_steps.bonded import COULOMB, LENNARD_JONES, PAIR, Bonded
 from openmm_exactrb.openmm_access import arrays
+from openmm_exactrb.support.messages import shown
 from openmm_exactrb.support.types import Array, Indices
 
 # Formulas of harmonic torsions in OpenMM's CHARMM force fields, without blanks. The difference of angles is periodic in
@@ -92,26 +93,30 @@ def terms_of(forces: Sequence[Bonded], groups: int) -> Terms | None:
 
 
 def unknown(forces: Iterable[Bonded]) -> str | None:
-    """Return the name of the first force with an unsupported form, or None if there is no such force."""
-    return next((of.force.getName() for of in forces if not _known(of.force)), None)
+    """Return the name of the first force with an unsupported form and the reason, or None if there is no such force."""
+    reasons = ((of.force.getName(), _unsupported(of.force)) for of in forces)
+    return next((f"{name}, which {why}" for name, why in reasons if why), None)
 
 
-def _known(force: Any) -> bool:
+def _unsupported(force: Any) -> str | None:
+    """Return why a bonded force has an unsupported form, or None."""
     if force.usesPeriodicBoundaryConditions():
-        return False
+        return "uses periodic boundary conditions"
+    if not hasattr(force, "getEnergyFunction"):  # a force of OpenMM with a fixed form
+        return None
+    if force.getNumGlobalParameters():
+        return "has global parameters"
+    known = False
     if isinstance(force, openmm.CustomBondForce):
-        return force.getEnergyFunction() == PAIR or _has(force, LENNARD_JONES, force.getPerBondParameterName)
+        known = force.getEnergyFunction() == PAIR or _has(force, LENNARD_JONES, force.getPerBondParameterName)
     if isinstance(force, openmm.CustomTorsionForce):
-        return _has(force, _HARMONIC, force.getPerTorsionParameterName)
-    kinds = openmm.HarmonicBondForce, openmm.HarmonicAngleForce, openmm.PeriodicTorsionForce, openmm.RBTorsionForce
-    return isinstance(force, (*kinds, openmm.CMAPTorsionForce))
+        known = _has(force, _HARMONIC, force.getPerTorsionParameterName)
+    return None if known else f"has the energy {shown(force.getEnergyFunction())}"
 
 
 def _has(force: Any, formula: re.Pattern[str], name: Callable[[int], str]) -> bool:
-    """Return whether a force has a given formula, with two parameters per term and no global parameters."""
-    if force.getNumGlobalParameters() or _number(force, formula) is None:
-        return False
-    return {name(i) for i in range(2)} == _PARAMETERS[formula]
+    """Return whether a force has a given formula, with two parameters per term."""
+    return _number(force, formula) is not None and {name(i) for i in range(2)} == _PARAMETERS[formula]
 
 
 def _number(force: Any, formula: re.Pattern[str]) -> float | None:

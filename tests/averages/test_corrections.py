@@ -13,6 +13,7 @@ from openmm_exactrb.averages.frames import BAR
 from openmm_exactrb.averages.record import read
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.schemes.sequence import spelled
+from openmm_exactrb.thermostats import HybridMonteCarlo
 
 KT = 0.00831446261815324 * 300.0
 COUNT = 500
@@ -216,6 +217,12 @@ def test_a_run_continues_its_file_and_no_other(tmp_path):
         (lambda: rb.ExactRigidBodyIntegrator(0.002), "only for Langevin dynamics: use ExactRigidBodyLangevin"),
         (lambda: rb.ExactRigidBodyNoseHooverIntegrator(300.0, 1.0, 0.002), "LangevinMiddleIntegrator instead of Exact"),
         (lambda: openmm.BrownianIntegrator(300.0, 1.0, 0.002), "instead of BrownianIntegrator"),
+        (lambda: rb.ExactRigidBodyHybridIntegrator(300.0, 1.0, 0.002), "no step-size error, so there is nothing to"),
+        (lambda: rb.ExactRigidBodyHybridIntegrator(300.0, 1.0, 0.006, "S2_3", stepsPerProposal=3), "no step-size err"),
+        (
+            lambda: rb.ExactRigidBodyIntegrator(0.002, "V2", thermostat=HybridMonteCarlo(300.0, 1.0)),
+            "no step-size error, so there is nothing to correct: omit the AverageReporter",
+        ),
         (lambda: openmm.LangevinMiddleIntegrator(300.0, 0.0, 0.002), "create the integrator with a friction above 0"),
         (
             lambda: rb.ExactRigidBodyLangevinIntegrator(300.0, 0.0, 0.002),

@@ -32,7 +32,7 @@ CASES = [
         ["droplet.pdb", "--forcefield", "amber14-all.xml", "--solvate", "9"],
         "--solvate needs a water model, but no force field file is named after one: add --water",
     ),
-    (["cut.pdb", "--forcefield", "tip3p.xml"], "contains no END line"),
+    (["cut.pdb", "--forcefield", "tip3p.xml"], "cut.pdb is truncated, because its last line is incomplete"),
     (["system.xml"], "pass one file (PDB .pdb or PDBx .cif), or two (system.xml and state.xml"),
     (["state.xml", "system.xml"], "contains an object of type State, not System"),
     (
@@ -70,7 +70,7 @@ IDLE = [
 def files(droplet, serialised, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     lines = droplet.read_text(encoding="utf-8").splitlines()
-    (tmp_path / "cut.pdb").write_text("\n".join(lines[:10]))
+    (tmp_path / "cut.pdb").write_text("\n".join(lines[:10])[:-40])
 
 
 @pytest.mark.parametrize(("arguments", "message"), CASES, ids=[message for _, message in CASES])

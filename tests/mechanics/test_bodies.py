@@ -136,8 +136,26 @@ def test_positions_that_are_not_rigid_are_put_on_the_shape_or_refused_by_name(mi
     with pytest.warns(
         ShapeWarning, match=f"affected: 1\\), by up to .* nm for .*particles {particles}\\): set positions"
     ):
-        moved(20.0 * RIGIDITY)
-    moved(0.2 * RIGIDITY)
+        moved(2e-3)
+    moved(2e-5)
+
+
+@pytest.mark.parametrize("molecule", [WATER, CHIRAL, CHIRAL * 1.7, np.eye(4, 3) * 0.11, [[0.0] * 3, [0.1, 0.0, 0.0]]])
+def test_positions_rounded_as_in_pdb_files_are_corrected_in_silence(molecule, rng):
+    """In any orientation, also as flexible molecules whose lengths are constrained; .gro files round ten times more."""
+    sites = np.asarray(molecule, dtype=float)
+    for missing in (0, 1):
+        system, n = openmm.System(), 300
+        attitudes = quaternions.matrix(quaternions.random(rng, n).T).transpose(2, 0, 1)
+        x = (quaternions.turned(attitudes, sites[None]) + rng.uniform(0.0, 5.0, (n, 1, 3))).reshape(-1, 3)
+        for _ in range(n):
+            add_rigid(system, sites, np.linspace(1.0, 16.0, len(sites)))
+            if missing and len(sites) > 2:
+                system.removeConstraint(system.getNumConstraints() - 1)
+        bodies = find_bodies(system, x)
+        fit(bodies, np.round(x, 4), np.zeros_like(x))  # a warning would be an error
+        with pytest.warns(ShapeWarning, match=r"match the shapes, unless these come from a file with three decimals"):
+            fit(bodies, np.round(x, 3), np.zeros_like(x))
 
 
 def test_a_mirror_image_and_an_atom_astray_are_named():

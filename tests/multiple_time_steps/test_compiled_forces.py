@@ -18,6 +18,8 @@ from bonded_terms import (
     terms_in,
 )
 from openmm_exactrb import kernels
+from openmm_exactrb.multiple_time_steps.bonded import Bonded, interacting_exceptions
+from openmm_exactrb.multiple_time_steps.compiled_forces import unknown
 from starts import context_of
 
 
@@ -81,22 +83,57 @@ def test_positions_that_are_not_finite_have_such_forces(make):
     assert np.isnan(out[4]).all()
 
 
-@pytest.mark.parametrize("other", ["periodic", "formula", "torsion", "parameter"])
-def test_other_forms_are_left_to_openmm(other):
-    if other == "periodic":
-        force = bonds()
-        force.setUsesPeriodicBoundaryConditions(True)
-    elif other == "formula":
-        force = openmm.CustomBondForce("k*r^4")
-        force.addGlobalParameter("k", 1.0)
-        force.addBond(0, 1)
-    elif other == "torsion":
-        force = openmm.CustomTorsionForce("k*cos(theta)")
-        force.addPerTorsionParameter("k")
-        force.addTorsion(0, 1, 2, 3, [1.0])
-    else:
-        force = openmm.CustomBondForce("4*epsilon*((sigma/r)^12-(sigma/r)^6)")
-        force.addGlobalParameter("epsilon", 1.0)
-        force.addPerBondParameter("sigma")
-        force.addBond(0, 3, [0.3])
-    assert terms_in(system_of(angles(), force), -1) is None
+def with_parameter(force, name="k"):
+    """Return a force with a global parameter."""
+    force.addGlobalParameter(name, 1.0)
+    return force
+
+
+def custom(force, parameters, term, values):
+    """Return a custom force with one term, whose parameters have these names and values."""
+    kind = next(word for word in ("Bond", "Angle", "Torsion") if word in type(force).__name__)
+    for name in parameters:
+        getattr(force, f"addPer{kind}Parameter")(name)
+    getattr(force, f"add{kind}")(*term, values)
+    return force
+
+
+OTHERS = [
+    (custom(openmm.CustomBondForce("k*r^4"), ["k"], (0, 1), [1.0]), "has the energy 'k*r^4'"),
+    (with_parameter(custom(openmm.CustomBondForce("k*r^4"), [], (0, 1), [])), "has global parameters"),
+    (custom(openmm.CustomAngleForce("k*theta^2"), ["k"], (0, 1, 2), [1.0]), "has the energy 'k*theta^2'"),
+    (custom(openmm.CustomTorsionForce("k*cos(theta)"), ["k"], (0, 1, 2, 3), [1.0]), "has the energy 'k*cos(theta)'"),
+    (
+        with_parameter(
+            custom(openmm.CustomBondForce("4*epsilon*((sigma/r)^12-(sigma/r)^6)"), ["sigma"], (0, 3), [0.3]), "epsilon"
+        ),
+        "has global parameters",
+    ),
+]
+
+
+@pytest.mark.parametrize(("force", "why"), OTHERS)
+def test_other_forms_are_left_to_openmm_for_a_reason_that_is_told(force, why):
+    force.setName("apart")
+    system = system_of(angles(), force)
+    assert terms_in(system, -1) is None
+    assert unknown(map(Bonded.of, system.getForces())) == f"apart, which {why}"
+
+
+@pytest.mark.parametrize("make", [form for form in FORMS if form is not pairs])
+def test_periodic_forms_are_left_to_openmm(make):
+    force = make()
+    force.setUsesPeriodicBoundaryConditions(True)
+    system = system_of(angles(), force)
+    assert terms_in(system, -1) is None
+    assert unknown(map(Bonded.of, system.getForces())) == f"{force.getName()}, which uses periodic boundary conditions"
+
+
+def test_periodic_exceptions_are_left_to_openmm():
+    force = openmm.NonbondedForce()
+    force.setNonbondedMethod(force.PME)
+    force.setExceptionsUsePeriodicBoundaryConditions(True)
+    force.addException(0, 3, 0.5, 0.3, 1.0)
+    assert unknown([interacting_exceptions(force)]) == (
+        "exceptions of NonbondedForce, which uses periodic boundary conditions"
+    )

@@ -221,11 +221,26 @@ def refusal(system, x, **options):
     return str(error.value)
 
 
+@pytest.mark.parametrize("kind", ["HarmonicBondForce", "HarmonicAngleForce", "PeriodicTorsionForce"])
+def test_periodic_bonded_forces_are_named_as_such(kind):
+    """The flag keeps them from the kernels, so that the message names it; in a group of their own, OpenMM has them."""
+    _, system, x = in_water("HBonds", 30)
+    (force,) = (force for force in system.getForces() if type(force).__name__ == kind)
+    force.setUsesPeriodicBoundaryConditions(True)
+    assert f"{kind}, which uses periodic boundary conditions: put the fast forces" in refusal(system, x, fast="bonded")
+    rb.separate_bonded(system)
+    contexts = pair(system, x, nested("S2_2", 0.002, fast=(1,)))
+    with pytest.warns(UserWarning, match=f"no kernel for the fast force {kind}, which uses periodic boundary"):
+        contexts[1].getIntegrator().step(1)
+    contexts[0].getIntegrator().step(1)
+    assert apart(*contexts) < DOUBLE
+
+
 def test_what_is_not_served_is_named():
     _, system, x = peptide()
     assert "no force-gradient kicks for flexible molecules, which Chin4A needs" in refusal(system, x, scheme="Chin4A")
     system.addForce(tether(0, 9))
-    assert "no kernel for the fast force tether: put" in refusal(system, x, fast="bonded")
+    assert "no kernel for the fast force tether, which has global parameters: put" in refusal(system, x, fast="bonded")
     _, hub, _ = peptide()
     (bonds,) = (force for force in hub.getForces() if isinstance(force, openmm.HarmonicBondForce))
     for _ in range(401):

@@ -179,7 +179,7 @@ def _without_kernel(
     """Return a description of the fast forces that no kernel supports, or None."""
     for force in acting(system):
         if groups_of(force) & set(fast.named) and not isinstance(force, BONDED_FORCES):
-            return f"the fast force {force.getName()}"
+            return f"the fast force {force.getName()}, which is not a bonded force"
     if excerpt is None:
         return None
     if len(excerpt.part.turning):

@@ -1,0 +1,124 @@
+"""States of other integrators are loaded by OpenMM's own methods, or a sentence says which method loads them."""
+
+import numpy as np
+import openmm
+import pytest
+
+import openmm_exactrb as rb
+from on_device import platform_for
+from starts import simulation_of
+
+H, T = 0.002, 300.0
+
+
+def compound():
+    integrator = openmm.CompoundIntegrator()
+    integrator.addIntegrator(openmm.VerletIntegrator(H))
+    integrator.addIntegrator(openmm.LangevinMiddleIntegrator(T, 1.0, H))
+    return integrator
+
+
+def own_program():
+    integrator = openmm.CustomIntegrator(H)
+    integrator.addGlobalVariable("work", 0.0)
+    integrator.addPerDofVariable("before", 0.0)
+    integrator.addComputePerDof("before", "x")
+    integrator.addComputePerDof("x", "x + dt*v")
+    integrator.addConstrainPositions()
+    return integrator
+
+
+THEIRS = {
+    "Verlet": lambda: openmm.VerletIntegrator(H),
+    "LangevinMiddle": lambda: openmm.LangevinMiddleIntegrator(T, 1.0, H),
+    "Brownian": lambda: openmm.BrownianIntegrator(T, 1000.0, H),
+    "VariableVerlet": lambda: openmm.VariableVerletIntegrator(1e-4),
+    "NoseHoover": lambda: openmm.NoseHooverIntegrator(T, 1.0, H),
+    "MTS": lambda: openmm.MTSIntegrator(H, [(0, 2)]),
+    "Compound": compound,
+    "Custom": own_program,
+}
+OURS = {
+    "W2_1": lambda **engine: rb.ExactRigidBodyIntegrator(H, **engine),
+    "S2_2": lambda **engine: rb.ExactRigidBodyIntegrator(H, "S2_2", **engine),
+    "Langevin": lambda **engine: rb.ExactRigidBodyLangevinIntegrator(T, 1.0, H, **engine),
+    "NoseHoover": lambda **engine: rb.ExactRigidBodyNoseHooverIntegrator(T, 10.0, H, **engine),
+    "Hybrid": lambda **_: rb.ExactRigidBodyHybridIntegrator(T, 1.0, H),
+}
+
+
+def water(integrator, platform=None):
+    topology, system, positions = rb.rigid_water(8)
+    options = {} if platform is None else {"platform": platform}
+    return simulation_of(topology, system, integrator, positions, kelvin=T, **options)
+
+
+def held(simulation):
+    state = simulation.context.getState(positions=True, velocities=True)
+    return np.concatenate([state.getPositions(asNumpy=True)._value, state.getVelocities(asNumpy=True)._value])
+
+
+@pytest.mark.parametrize("moved", [False, True])
+@pytest.mark.parametrize("ours", OURS)
+@pytest.mark.parametrize("theirs", THEIRS)
+def test_states_of_openmms_integrators_are_loaded(tmp_path, theirs, ours, moved):
+    """By a Simulation that has made steps, and by one that has not, with time and step count."""
+    first, second = water(THEIRS[theirs]()), water(OURS[ours]())
+    first.step(2)
+    first.saveState(str(tmp_path / "state.xml"))
+    second.step(2 * moved)
+    second.loadState(str(tmp_path / "state.xml"))
+    np.testing.assert_array_equal(held(second), held(first))
+    assert second.context.getStepCount() == 2
+    assert second.context.getTime() == first.context.getTime()
+    second.step(1)
+    assert np.isfinite(held(second)).all()
+
+
+@pytest.mark.opencl
+@pytest.mark.parametrize("theirs", THEIRS)
+def test_states_of_openmms_integrators_are_loaded_on_the_device(theirs):
+    first, second = water(THEIRS[theirs]()), water(OURS["S2_2"](engine="device"), platform_for("device")[0])
+    first.step(2)
+    second.step(1)
+    second.context.setState(first.context.getState(positions=True, velocities=True, integratorParameters=True))
+    np.testing.assert_allclose(held(second), held(first), atol=1e-6)
+    second.step(1)
+
+
+@pytest.mark.parametrize(
+    ("saved", "loads"),
+    [("W2_1", "S2_2"), ("W2_1", "Langevin"), ("W2_1", "NoseHoover"), ("NoseHoover", "S2_2"), ("NoseHoover", "Hybrid")],
+)
+def test_states_of_other_schemes_and_thermostats_are_refused_with_the_remedy(saved, loads):
+    first, second = water(OURS[saved]()), water(OURS[loads]())
+    first.step(2)
+    state = first.context.getState(positions=True, velocities=True, integratorParameters=True)
+    with pytest.raises(openmm.OpenMMException, match=r"with openmm_exactrb\.loadState, or create the integrator with"):
+        second.context.setState(state)
+    rb.loadState(second, state)
+    np.testing.assert_array_equal(held(second), held(first))
+
+
+@pytest.mark.parametrize("with_data", [False, True])
+def test_other_errors_of_a_state_are_openmms(with_data):
+    """A parameter that the Context lacks, and another number of particles; and so are those of other integrators."""
+    topology, system, positions = rb.rigid_water(8)
+    force = openmm.CustomExternalForce("pull*x")
+    force.addGlobalParameter("pull", 1.0)
+    system.addForce(force)
+    pulled = simulation_of(topology, system, THEIRS["Verlet"](), positions)
+    state = pulled.context.getState(positions=True, parameters=True, integratorParameters=with_data)
+    with pytest.raises(openmm.OpenMMException, match="pull"):
+        water(OURS["S2_2"]()).context.setState(state)
+    topology, system, positions = rb.rigid_water(9)
+    larger = simulation_of(topology, system, THEIRS["Verlet"](), positions)
+    state = larger.context.getState(positions=True, integratorParameters=with_data)
+    with pytest.raises(openmm.OpenMMException, match="wrong number of positions"):
+        water(OURS["S2_2"]()).context.setState(state)
+
+
+def test_other_integrators_fail_as_before():
+    state = water(THEIRS["Verlet"]()).context.getState(positions=True, integratorParameters=True)
+    with pytest.raises(openmm.OpenMMException, match="Unknown property 'version'"):
+        water(THEIRS["Custom"]()).context.setState(state)
