@@ -114,7 +114,7 @@ class DevicePropagator:
     def _load(self) -> None:
         """Load the program for the settings into the integrator, and write the tables of the program to the device."""
         context: Any = self.sync.context
-        self._served = served(context.getSystem(), self.sync.bodies, self._fast, self._settings)
+        self._served = served(context, self.sync.bodies, self._fast, self._settings)
         self._assembly = assembly = Assembly(
             self.sync.bodies,
             self._settings.scheme,

@@ -50,7 +50,7 @@ def _unsupported_in(context: Any, settings: Settings) -> str | None:
         warnings.simplefilter("ignore")  # the propagator issues these warnings
         bodies, _, fast = found(context, settings)
     try:
-        molecules, evaluated = served(context.getSystem(), bodies, fast, settings)
+        molecules, evaluated = served(context, bodies, fast, settings)
     except NotServedError as error:
         return str(error)
     if evaluated is not None and settings.scheme.has_gradients:

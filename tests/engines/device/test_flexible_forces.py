@@ -31,7 +31,7 @@ class Kicks:
     def __init__(self, precision):
         self.precision = precision
         self.system = system_of(*(make(N * k) for k, make in enumerate(FORMS)), n=ALL)
-        single = Group(np.arange(ALL)[:, None], np.zeros((0, 2), dtype=np.int64), np.zeros(0))
+        single = Group(np.arange(ALL)[:, None])
         molecules = Molecules([single], np.ones(ALL), np.arange(ALL), terms_in(self.system))
         self.part, table, program = (
             FlexiblePart(Flexible(molecules, np.zeros((ALL, 3)), precision), Demands(), "flexible_"),

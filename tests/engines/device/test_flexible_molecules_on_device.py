@@ -246,10 +246,3 @@ def test_what_is_not_served_is_named():
     for _ in range(401):
         bonds.addBond(0, 14, 0.5, 1.0)
     assert "particle 0 is in 418 bonded terms" in refusal(hub, x, fast="bonded")
-    chain, places = openmm.System(), np.zeros((40, 3))
-    places[:, 0], places[:, 1] = 0.1 * np.arange(40), 0.05 * (np.arange(40) % 2)
-    for i in range(40):
-        chain.addParticle(12.0)
-        if i:
-            chain.addConstraint(i - 1, i, float(np.linalg.norm(places[i] - places[i - 1])))
-    assert "constraints join 40 atoms" in refusal(chain, places)

@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from openmm_exactrb.support.types import Array, Indices
+from openmm_exactrb.kernels.records import Graph
+from openmm_exactrb.support.types import Indices
 
 #: The cost of a block is the number of memberships of its atoms in terms, about 30 per atom in a protein, plus this
 #: number for each atom.
@@ -19,26 +20,16 @@ COST_OF_BLOCK, COST_OF_MOLECULE = 1200, 6400
 
 
 class Group(NamedTuple):
-    """Clusters with the same constraint graph, which is empty for single atoms.
-
-    Attributes
-    ----------
-    particles : (N, n) array
-    pairs : (m, 2) array
-        The two members of the cluster that each constraint connects.
-    lengths : (m,) array
-        Lengths of the constraints in nm.
-    """
+    """The particles (N, n) of clusters with the same constraint graph, which is None for single atoms."""
 
     particles: Indices
-    pairs: Indices
-    lengths: Array
+    graph: Graph | None = None
 
     @property
     def star(self) -> bool:
-        """Whether the constraints connect the first member to all others, in order."""
-        n = self.particles.shape[1]
-        return bool(np.array_equal(self.pairs, [(0, i) for i in range(1, n)])) if n > 1 else True
+        """Whether the constraints connect the first member to all others."""
+        pairs = np.zeros((0, 2)) if self.graph is None else self.graph.pairs
+        return len(pairs) == self.particles.shape[1] - 1 and not pairs[:, 0].any()
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Tables of the clusters of flexible molecules for the kernel, and the kernel's source text for their graphs."""
+"""Tables of the clusters of flexible molecules for the kernel."""
 
 from __future__ import annotations
 
@@ -8,50 +8,58 @@ import numpy as np
 from numpy.typing import NDArray
 
 from openmm_exactrb.engines.device.flexible.blocks import Blocks, Group
+from openmm_exactrb.kernels.records import Graph
+from openmm_exactrb.support.types import Indices
 
-#: The largest number of outer atoms of a star, and the largest number of atoms of a cluster with another graph.
-RAYS, LARGEST = 4, 32
+#: The largest number of outer atoms of a star.
+RAYS = 4
 #: The largest number of orders of the multipliers, the relative size of terms at which a series ends, and the smallest
 #: part of a drift, which is not halved further; see `openmm_exactrb.kernels.compiled.clusters`.
 ORDERS, SETTLED, SHORTEST = 12, 1e-16, 0.5**12
-# Numbers in the workspace per constraint of a cluster with any graph; see graph.cl.
-_VECTORS = 4 * ORDERS + 6 + 10
 
 
 def arrays(blocks: Blocks) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """Return the kernel's arrays of clusters by name, and the constants with which the kernel is compiled."""
-    n, graphs, constraints = len(blocks.particles), 0, 0
-    table = np.stack([blocks.starts, blocks.sizes, *np.full((3, len(blocks.starts)), -1)], axis=1)
-    of_stars, ends = np.zeros(n), [np.zeros((0, 2), int)]
-    lengths: list[NDArray[Any]] = []
-    most = 0
+    """Return the kernel's arrays of clusters by name, and the constants with which the kernel is compiled.
+
+    "clusters" contains a row for each cluster: its first atom, its number of atoms, the start of the table of its graph
+    in "graphs", or -1 for a star, and the start of its workspace in "room". "lengths" contains the length of the
+    constraint of each atom of a star, and then the lengths and weights of each graph.
+    """
+    n, room, kinds = len(blocks.particles), 0, 0
+    table = np.stack([blocks.starts, blocks.sizes, *np.full((2, len(blocks.starts)), -1)], axis=1)
+    graphs, numbers = [np.zeros(0, int)], [np.zeros(n)]
     for group, clusters in blocks.groups:
-        m, count = len(group.pairs), len(clusters)
-        if is_star(group):
-            of_stars[blocks.starts[clusters][:, None] + np.arange(1, m + 1)] = group.lengths
+        graph, count = group.graph, len(clusters)
+        if graph is None:
             continue
-        number = np.arange(count)
-        table[clusters, 2:] = np.stack([graphs + number, constraints + m * number, np.full(count, m)], axis=1)
-        lengths.append(np.tile(group.lengths, count))
-        ends.append(np.tile(group.pairs, (count, 1)))
-        graphs, constraints, most = graphs + count, constraints + m * count, max(most, m)
-    constants: dict[str, Any] = {"GRAPHS": graphs, "MOST_CONSTRAINTS": most, "ALL_ATOMS": n, "RAYS": RAYS}
-    room = graphs * (most * (_VECTORS + most) + 3 * LARGEST)
-    made = {
+        if is_star(group):
+            numbers[0][blocks.starts[clusters][:, None] + graph.pairs[:, 1]] = graph.lengths
+            continue
+        table[clusters, 2], table[clusters, 3] = sum(map(len, graphs)), room + np.arange(count)
+        graphs.append(_table(graph, count, sum(map(len, numbers))))
+        numbers += [graph.lengths, graph.weights]
+        room, kinds = room + count * _room(graph), kinds + 1
+    made: dict[str, NDArray[Any]] = {
         "clusters": table.astype(np.int32),
-        "lengths": np.concatenate([of_stars, *lengths]),
-        "ends": np.concatenate(ends).astype(np.int32),
+        "lengths": np.concatenate(numbers),
+        "graphs": np.concatenate(graphs).astype(np.int32),
         "room": np.zeros(room),
     }
-    constants |= {"ORDERS": ORDERS, "SETTLED": SETTLED, "SHORTEST": SHORTEST}
-    return made, constants
+    constants = {"GRAPHS": kinds, "ALL_ATOMS": n, "RAYS": RAYS}
+    return made, constants | {"ORDERS": ORDERS, "SETTLED": SETTLED, "SHORTEST": SHORTEST}
+
+
+def _table(graph: Graph, stride: int, first_length: int) -> Indices:
+    """Return the table of a graph, as in kernels/graph.cl; successive numbers of a workspace are `stride` apart."""
+    head = np.array([len(graph.pairs), len(graph.columns), len(graph.left), stride, first_length])
+    return np.concatenate([head, graph.pairs.ravel(), graph.rows, graph.columns, graph.starts, graph.left, graph.right])
+
+
+def _room(graph: Graph) -> int:
+    """Return the number of elements in the workspace of a cluster, as in kernels/graph.cl."""
+    return (4 * ORDERS + 16) * len(graph.pairs) + len(graph.columns) + 3 * len(graph.inverse)
 
 
 def is_star(group: Group) -> bool:
     """Return whether clusters are stars of at most `RAYS` + 1 atoms, each moved by a team of threads."""
     return group.star and group.particles.shape[1] <= RAYS + 1
-
-
-def files(blocks: Blocks) -> tuple[str, ...]:
-    """Return the names of the kernel files that contain the functions for moving these clusters."""
-    return ("star.cl",) + ("graph.cl",) * (not all(is_star(group) for group, _ in blocks.groups))

@@ -12,7 +12,6 @@ import openmm
 from openmm_exactrb.context.synchronisation import require_positions
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.engines.device.flexible.blocks import Group
-from openmm_exactrb.engines.device.flexible.constraints import LARGEST
 from openmm_exactrb.engines.device.flexible.evaluated import Evaluated
 from openmm_exactrb.engines.device.flexible.inner import InnerSteps
 from openmm_exactrb.engines.device.flexible.tables import particles
@@ -22,9 +21,11 @@ from openmm_exactrb.multiple_time_steps.bonded import BONDED_FORCES, acting, gro
 from openmm_exactrb.multiple_time_steps.compiled_forces import NO_TERMS, terms_of, unknown
 from openmm_exactrb.multiple_time_steps.excerpt import Excerpt, bonded_excerpt
 from openmm_exactrb.multiple_time_steps.fast_forces import FastForces, fast_forces
-from openmm_exactrb.openmm_access import arrays, parameters
+from openmm_exactrb.openmm_access import arrays, parameters, platforms
 from openmm_exactrb.support.types import Array, Indices
 
+#: The largest number of atoms of a cluster on a GPU, where a single thread moves each cluster.
+LARGEST = 32
 #: The largest number of bonded terms of a particle, because a block stores the other particles of these terms in local
 #: memory.
 MOST_TERMS = 400
@@ -102,12 +103,12 @@ def found(context: Any, settings: Any) -> Found:
     return Found(bodies, whole, fast)
 
 
-def served(system: openmm.System, bodies: RigidBodies, fast: FastForces | None, settings: Any) -> Served:
+def served(context: Any, bodies: RigidBodies, fast: FastForces | None, settings: Any) -> Served:
     """Return the flexible molecules that kernels support, and the fast forces that OpenMM must evaluate.
 
     Parameters
     ----------
-    system : openmm.System
+    context : openmm.Context
     bodies : RigidBodies
     fast : FastForces or None
         The fast forces, which `found` returns together with the bodies.
@@ -119,10 +120,10 @@ def served(system: openmm.System, bodies: RigidBodies, fast: FastForces | None, 
         If a cluster is too large, if a particle has too many bonded terms, or if no kernel supports the fast forces and
         `fast` does not name their force groups.
     """
-    _require_small_clusters(bodies)
-    scheme, h = settings.splitting, settings.h
+    require_small_clusters(bodies, None if platforms.no_gpu(context) else LARGEST)
+    system, scheme, h = context.getSystem(), settings.splitting, settings.h
     masses = parameters.masses(system)
-    clusters = [Group(kind.particles, kind.pairs, kind.lengths) for kind in bodies.clusters.kinds]
+    clusters = [Group(kind.particles, kind.graph) for kind in bodies.clusters.kinds]
     without_terms = (Molecules(clusters, masses, bodies.owner),) if clusters else ()
     if fast is None or not fast.acts(scheme, h):
         return Served(without_terms)
@@ -139,7 +140,7 @@ def served(system: openmm.System, bodies: RigidBodies, fast: FastForces | None, 
     if excerpt is None:
         return Served(without_terms)
     single = np.setdiff1d(excerpt.particles, bodies.clusters.particles)
-    groups = [*_chosen(clusters, excerpt.particles, True), Group(single[:, None], np.zeros((0, 2), int), np.zeros(0))]
+    groups = [*_chosen(clusters, excerpt.particles, True), Group(single[:, None])]
     without = _chosen(clusters, excerpt.particles, False)
     late, terms = fast.excerpt is not None, terms_of(excerpt.forces, settings.groups)
     assert terms is not None  # the kernels support all fast forces here
@@ -154,12 +155,13 @@ def _chosen(groups: Sequence[Group], particles: Indices, wanted: bool) -> list[G
     return [group._replace(particles=group.particles[chosen]) for group, chosen in some if chosen.any()]
 
 
-def _require_small_clusters(bodies: RigidBodies) -> None:
+def require_small_clusters(bodies: RigidBodies, largest: int | None) -> None:
+    """Raise NotServedError if a cluster has more than `largest` atoms; None means any number."""
     for kind in bodies.clusters.kinds:
-        if kind.particles.shape[1] > LARGEST:
+        if largest is not None and kind.particles.shape[1] > largest:
             raise NotServedError(
-                f"constraints join {kind.particles.shape[1]} atoms in {kind.name(0)}, but the device has kernels for "
-                f"at most {LARGEST}: create the System with constraints=HBonds"
+                f"constraints join {kind.particles.shape[1]} atoms in {kind.name(0)}, but the device engine supports "
+                f"at most {largest} on a GPU: create the System with constraints=HBonds"
             )
 
 

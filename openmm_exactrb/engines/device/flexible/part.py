@@ -26,7 +26,7 @@ THREADS = 256
 _MOVES, _PLACES, _PROJECTS, _SHOWS = 1, 2, 4, 8
 _CONTEXT = ("posq", "posqCorrection", "velm", "force", "places", "box")
 _ATOMS = ("atoms", "bodies", "inverse")
-_TABLES = ("blocks", "block_atoms", "clusters", "lengths", "ends", "room", "members", "constants", "exact")
+_TABLES = ("blocks", "block_atoms", "clusters", "lengths", "graphs", "room", "members", "constants", "exact")
 
 
 class Flexible(NamedTuple):
@@ -68,7 +68,7 @@ class FlexiblePart:
         constants |= {"BLOCK": BLOCK, "GROUPS": GROUPS, "LIGHT": LIGHT}
         constants |= {"MEMORY": demands.memory[0], "PER_STEP": demands.memory[1]}
         constants |= {"SCALES": 1} if demands.scales else {}
-        files = ("random.cl", "context.cl", "layout.cl", "fixed_sums.cl", *constraints.files(self.blocks), "bonded.cl")
+        files = ("random.cl", "context.cl", "layout.cl", "fixed_sums.cl", "star.cl", "graph.cl", "bonded.cl")
         return Source((*files, "inner.cl", "sums.cl", "flexible_updates.cl"), tuple(constants.items()))
 
     def state(self, copied: bool) -> tuple[str, str]:

@@ -1,73 +1,111 @@
-// Free motion of a cluster with any constraint graph, by the series of openmm_exactrb.kernels.compiled.clusters. One
-// thread moves a cluster, with a workspace in global memory in which the values of one quantity for all clusters are
-// contiguous.
+// Free motion of a cluster with any constraint graph, by the series of openmm_exactrb.kernels.compiled.clusters and the
+// sparse Cholesky factor of openmm_exactrb.mechanics.elimination. One thread moves a cluster. All clusters with the same
+// graph share its tables. The workspace of a cluster is in global memory, in which the values of one quantity for all
+// clusters with the same graph are contiguous.
 
-#define PART(place) room[(place)*GRAPHS+graph]
-#define MOST MOST_CONSTRAINTS
-#define ATOMS cluster[ATOMS_OF_CLUSTER]
-#define CONSTRAINTS cluster[CONSTRAINTS_OF_CLUSTER]
-#define FIRST(c) ends[2*(first+(c))]
-#define SECOND(c) ends[2*(first+(c))+1]
-#define LENGTH(c) lengths[ALL_ATOMS+first+(c)]
-#define INVERSE(i) inverse[cluster[FIRST_ATOM]+(i)]
-#define X(i, e) xs[3*(at+(i))+(e)]
-#define V(i, e) v[3*(cluster[FIRST_ATOM]+(i))+(e)]
-#define R(k, c, e) PART(((k)*MOST+(c))*3+(e))
-#define MULTIPLIER(k, c) PART(3*(ORDERS+2)*MOST+(k)*MOST+(c))
-#define FACTOR(c, d) PART((4*ORDERS+6)*MOST+(c)*MOST+(d))
-#define AFTER_FACTOR ((4*ORDERS+6+MOST)*MOST)
-#define B(c) PART(AFTER_FACTOR+(c))
-#define SUM(c, e) PART(AFTER_FACTOR+MOST+3*(c)+(e))
-#define PUSH(c, e) PART(AFTER_FACTOR+4*MOST+3*(c)+(e))
-#define SHIFT(c, e) PART(AFTER_FACTOR+7*MOST+3*(c)+(e))
-#define ON_ATOM(i, e) PART(AFTER_FACTOR+10*MOST+3*(i)+(e))
+// The atoms of a cluster, its graph (openmm_exactrb.kernels.records.Graph), and its workspace.
+typedef struct {
+    int atoms, constraints, entries, stride;
+    GLOBAL const int *ends, *rows, *columns, *starts, *left, *right;
+    GLOBAL const double *inverse, *lengths, *weights;
+    GLOBAL double* room;
+} Graph;
 
-#define EACH_CONSTRAINT for (int c = 0; c < CONSTRAINTS; c++)
-#define EACH_ATOM for (int i = 0; i < ATOMS; i++)
+#define EACH_CONSTRAINT for (int c = 0; c < g->constraints; c++)
+#define EACH_ATOM for (int i = 0; i < g->atoms; i++)
+#define FIRST(c) g->ends[2*(c)]
+#define SECOND(c) g->ends[2*(c)+1]
+#define DIAGONAL(c) (g->rows[(c)+1]-1)
+
+// Quantities in the workspace: the series of the vector of each constraint and of its multiplier, the entries of the
+// factor, the right-hand side of a linear system, vectors for each constraint, and a sum for each atom.
+#define PART(place) g->room[(place)*g->stride]
+#define R(k, c, e) PART(3*((k)*g->constraints+(c))+(e))
+#define MULTIPLIER(k, c) PART((3*(ORDERS+2)+(k))*g->constraints+(c))
+#define B(c) PART((4*ORDERS+6)*g->constraints+(c))
+#define VECTOR(which, c, e) PART((4*ORDERS+7+3*(which))*g->constraints+3*(c)+(e))
+#define FACTOR(e) PART((4*ORDERS+16)*g->constraints+(e))
+#define ON_ATOM(i, e) PART((4*ORDERS+16)*g->constraints+g->entries+3*(i)+(e))
+enum { FORCE, PUSH, SHIFT };
+
 #define PRODUCT(c, d) (R(0, c, 0)*R(0, d, 0)+R(0, c, 1)*R(0, d, 1)+R(0, c, 2)*R(0, d, 2))
-#define COUPLING(c, d) ((FIRST(c) == FIRST(d) ? INVERSE(FIRST(c)) : 0.0)+(SECOND(c) == SECOND(d) ? INVERSE(SECOND(c)) : 0.0) \
-    -(FIRST(c) == SECOND(d) ? INVERSE(FIRST(c)) : 0.0)-(SECOND(c) == FIRST(d) ? INVERSE(SECOND(c)) : 0.0))
+#define RELATIVE(c, e) (g->inverse[FIRST(c)]*ON_ATOM(FIRST(c), e)-g->inverse[SECOND(c)]*ON_ATOM(SECOND(c), e))
+#define X(i, e) xs[3*(at+(i))+(e)]
+#define V(i, e) v[3*(first+(i))+(e)]
 
-// Solve the linear system for the right-hand side B, in place, with the Cholesky factor of the matrix.
-#define SOLVE \
-    EACH_CONSTRAINT { \
-        for (int d = 0; d < c; d++) \
-            B(c) -= FACTOR(c, d)*B(d); \
-        B(c) *= FACTOR(c, c); \
-    } \
-    for (int c = CONSTRAINTS-1; c >= 0; c--) { \
-        B(c) *= FACTOR(c, c); \
-        for (int d = 0; d < c; d++) \
-            B(d) -= FACTOR(c, d)*B(c); \
+DEVICE inline Graph graph_of(GLOBAL const int* cluster, GLOBAL const int* graphs, GLOBAL const double* inverse, GLOBAL const double* lengths,
+        GLOBAL double* room) {
+    GLOBAL const int* head = graphs+cluster[GRAPH];
+    Graph g;
+    g.atoms = cluster[ATOMS_OF_CLUSTER];
+    g.constraints = head[CONSTRAINTS];
+    g.entries = head[ENTRIES];
+    g.stride = head[STRIDE];
+    g.ends = head+GRAPH_HEAD;
+    g.rows = g.ends+2*g.constraints;
+    g.columns = g.rows+g.constraints+1;
+    g.starts = g.columns+g.entries;
+    g.left = g.starts+g.entries+1;
+    g.right = g.left+head[PRODUCTS];
+    g.inverse = inverse+cluster[FIRST_ATOM];
+    g.lengths = lengths+head[FIRST_LENGTH];
+    g.weights = g.lengths+g.constraints;
+    g.room = room+cluster[ROOM];
+    return g;
+}
+
+// Compute the Cholesky factor of the matrix of the constraints, with inverted diagonal entries.
+DEVICE inline void factorise(const Graph* g) {
+    EACH_CONSTRAINT for (int e = g->rows[c]; e <= DIAGONAL(c); e++) {
+        const int d = g->columns[e];
+        double entry = g->weights[e]*PRODUCT(c, d);
+        for (int k = g->starts[e]; k < g->starts[e+1]; k++)
+            entry -= FACTOR(g->left[k])*FACTOR(g->right[k]);
+        FACTOR(e) = d == c ? 1.0/sqrt(entry) : entry*FACTOR(DIAGONAL(d));
     }
+}
+
+// Solve the linear system for the right-hand side B, in place.
+DEVICE inline void solve(const Graph* g) {
+    EACH_CONSTRAINT {
+        for (int e = g->rows[c]; e < DIAGONAL(c); e++)
+            B(c) -= FACTOR(e)*B(g->columns[e]);
+        B(c) *= FACTOR(DIAGONAL(c));
+    }
+    for (int c = g->constraints-1; c >= 0; c--) {
+        B(c) *= FACTOR(DIAGONAL(c));
+        for (int e = g->rows[c]; e < DIAGONAL(c); e++)
+            B(g->columns[e]) -= FACTOR(e)*B(c);
+    }
+}
 
 // Compute the signed sum of a vector over the constraints of each atom.
-#define GATHER(VECTOR) \
-    EACH_ATOM EACH_AXIS ON_ATOM(i, e) = 0.0; \
-    EACH_CONSTRAINT EACH_AXIS { ON_ATOM(FIRST(c), e) += VECTOR(c, e); ON_ATOM(SECOND(c), e) -= VECTOR(c, e); }
-#define RELATIVE(c, e) (INVERSE(FIRST(c))*ON_ATOM(FIRST(c), e)-INVERSE(SECOND(c))*ON_ATOM(SECOND(c), e))
+DEVICE inline void gather(const Graph* g, int which) {
+    EACH_ATOM EACH_AXIS ON_ATOM(i, e) = 0.0;
+    EACH_CONSTRAINT EACH_AXIS {
+        ON_ATOM(FIRST(c), e) += VECTOR(which, c, e);
+        ON_ATOM(SECOND(c), e) -= VECTOR(which, c, e);
+    }
+}
 
-// Advance a cluster by t (ps). For t = 0, only project the velocities, which removes components along constraints.
-DEVICE inline void move_graph(double t, GLOBAL const int* cluster, int at, GLOBAL const double* inverse, GLOBAL const double* lengths,
-        GLOBAL const int* ends, GLOBAL double* room, LOCAL_ARG number* xs, GLOBAL number* v) {
-    const int first = cluster[FIRST_CONSTRAINT], graph = cluster[GRAPH];
+// Advance a cluster by t (ps). For t = 0, only project the velocities, which removes components along constraints. The
+// first atom has the index `at` in the block.
+DEVICE inline void move_graph(double t, GLOBAL const int* cluster, int at, GLOBAL const int* graphs, GLOBAL const double* inverse,
+        GLOBAL const double* lengths, GLOBAL double* room, LOCAL_ARG number* xs, GLOBAL number* v) {
+    const Graph own = graph_of(cluster, graphs, inverse, lengths, room), *g = &own;
+    const int first = cluster[FIRST_ATOM];
     double part = 1.0, remaining = 1.0;
     while (remaining > 0.0) {
         EACH_CONSTRAINT EACH_AXIS R(0, c, e) = X(FIRST(c), e)-X(SECOND(c), e);
-        EACH_CONSTRAINT for (int d = 0; d <= c; d++) {
-            double entry = COUPLING(c, d)*PRODUCT(c, d);
-            for (int k = 0; k < d; k++)
-                entry -= FACTOR(c, k)*FACTOR(d, k);
-            FACTOR(c, d) = d == c ? 1.0/sqrt(entry) : entry*FACTOR(d, d);
-        }
+        factorise(g);
         EACH_CONSTRAINT {
             B(c) = 0.0;
             EACH_AXIS B(c) -= R(0, c, e)*(V(FIRST(c), e)-V(SECOND(c), e));
         }
-        SOLVE
+        solve(g);
         EACH_CONSTRAINT EACH_AXIS {
-            V(FIRST(c), e) += INVERSE(FIRST(c))*B(c)*R(0, c, e);
-            V(SECOND(c), e) -= INVERSE(SECOND(c))*B(c)*R(0, c, e);
+            V(FIRST(c), e) += g->inverse[FIRST(c)]*B(c)*R(0, c, e);
+            V(SECOND(c), e) -= g->inverse[SECOND(c)]*B(c)*R(0, c, e);
         }
         if (t == 0.0)
             return;
@@ -75,11 +113,11 @@ DEVICE inline void move_graph(double t, GLOBAL const int* cluster, int at, GLOBA
         // Correct the rounding errors of the lengths, then compute the series.
         const double time = part*t;
         double bound = 0.0;
-        EACH_CONSTRAINT B(c) = 0.5*(LENGTH(c)*LENGTH(c)-PRODUCT(c, c));
-        SOLVE
+        EACH_CONSTRAINT B(c) = 0.5*(g->lengths[c]*g->lengths[c]-PRODUCT(c, c));
+        solve(g);
         EACH_CONSTRAINT EACH_AXIS {
-            SHIFT(c, e) = B(c)*R(0, c, e);
-            PUSH(c, e) = 0.0;
+            VECTOR(SHIFT, c, e) = B(c)*R(0, c, e);
+            VECTOR(PUSH, c, e) = 0.0;
             R(1, c, e) = time*(V(FIRST(c), e)-V(SECOND(c), e));
             bound = fmax(bound, SETTLED*fabs(R(1, c, e)));
         }
@@ -93,32 +131,32 @@ DEVICE inline void move_graph(double t, GLOBAL const int* cluster, int at, GLOBA
                 if (k%2 == 0)
                     EACH_AXIS q += 0.5*R(k/2+1, c, e)*R(k/2+1, c, e);
                 B(c) = -order*q;
-                EACH_AXIS SUM(c, e) = 0.0;
+                EACH_AXIS VECTOR(FORCE, c, e) = 0.0;
                 for (int j = 0; j < k; j++)
-                    EACH_AXIS SUM(c, e) += MULTIPLIER(j, c)*R(k-j, c, e);
+                    EACH_AXIS VECTOR(FORCE, c, e) += MULTIPLIER(j, c)*R(k-j, c, e);
             }
-            GATHER(SUM)
+            gather(g, FORCE);
             EACH_CONSTRAINT EACH_AXIS B(c) -= R(0, c, e)*RELATIVE(c, e);
-            SOLVE
+            solve(g);
             EACH_CONSTRAINT {
                 MULTIPLIER(k, c) = B(c);
-                EACH_AXIS SUM(c, e) += B(c)*R(0, c, e);
+                EACH_AXIS VECTOR(FORCE, c, e) += B(c)*R(0, c, e);
             }
-            GATHER(SUM)
+            gather(g, FORCE);
             double largest = 0.0;
             EACH_CONSTRAINT EACH_AXIS {
                 R(k+2, c, e) = RELATIVE(c, e)/order;
                 largest = fmax(largest, (k+2)*fabs(R(k+2, c, e)));
-                PUSH(c, e) += SUM(c, e)/(time*(k+1));
-                SHIFT(c, e) += SUM(c, e)/order;
+                VECTOR(PUSH, c, e) += VECTOR(FORCE, c, e)/(time*(k+1));
+                VECTOR(SHIFT, c, e) += VECTOR(FORCE, c, e)/order;
             }
             small = largest <= bound ? small+1 : 0;
         }
         if (small == 2) {
-            GATHER(SHIFT)
-            EACH_ATOM EACH_AXIS X(i, e) += time*V(i, e)+INVERSE(i)*ON_ATOM(i, e);
-            GATHER(PUSH)
-            EACH_ATOM EACH_AXIS V(i, e) += INVERSE(i)*ON_ATOM(i, e);
+            gather(g, SHIFT);
+            EACH_ATOM EACH_AXIS X(i, e) += time*V(i, e)+g->inverse[i]*ON_ATOM(i, e);
+            gather(g, PUSH);
+            EACH_ATOM EACH_AXIS V(i, e) += g->inverse[i]*ON_ATOM(i, e);
             remaining -= part;
         }
         else if (part > SHORTEST)
@@ -129,3 +167,20 @@ DEVICE inline void move_graph(double t, GLOBAL const int* cluster, int at, GLOBA
         }
     }
 }
+
+#undef EACH_CONSTRAINT
+#undef EACH_ATOM
+#undef FIRST
+#undef SECOND
+#undef DIAGONAL
+#undef PART
+#undef R
+#undef MULTIPLIER
+#undef B
+#undef VECTOR
+#undef FACTOR
+#undef ON_ATOM
+#undef PRODUCT
+#undef RELATIVE
+#undef X
+#undef V

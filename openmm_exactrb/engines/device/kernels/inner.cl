@@ -68,7 +68,7 @@ DEVICE inline void move_atom(int atom, int first, int last, GLOBAL const int* mo
 KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL mixed4* velm, GLOBAL const component* force,
         GLOBAL const int4* places, GLOBAL const double* box, GLOBAL const number* x, GLOBAL number* y, GLOBAL number* v, GLOBAL double* memory,
         GLOBAL const int* atoms, GLOBAL const int* bodies, GLOBAL const double* inverse, GLOBAL const int* blocks, GLOBAL const int* block_atoms,
-        GLOBAL const int* clusters, GLOBAL const double* lengths, GLOBAL const int* ends, GLOBAL double* room, GLOBAL const int* members,
+        GLOBAL const int* clusters, GLOBAL const double* lengths, GLOBAL const int* graphs, GLOBAL double* room, GLOBAL const int* members,
         GLOBAL const fine* constants, GLOBAL const double* exact, GLOBAL const int* moves, GLOBAL const double* numbers, GLOBAL const double* factors,
         int first_move, int count, int what, mm_long step, double key, double turns) {
     LOCAL_ARRAY(number, xs, 3*PLACES_OF_BLOCK);
@@ -116,10 +116,8 @@ KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL
                     GLOBAL const int* cluster = clusters+CLUSTER_ROW*(row[FIRST_CLUSTER]+(idle ? 0 : c));
                     const int at = cluster[FIRST_ATOM]-first_atom;
                     move_star(idle, t, cluster, at, inverse, lengths, xs, v);
-#if GRAPHS > 0
-                    if (!idle && cluster[GRAPH] >= 0 && LOCAL_ID%TEAM == 0)
-                        move_graph(t, cluster, at, inverse, lengths, ends, room, xs, v);
-#endif
+                    if (GRAPHS > 0 && !idle && cluster[GRAPH] >= 0 && LOCAL_ID%TEAM == 0)
+                        move_graph(t, cluster, at, graphs, inverse, lengths, room, xs, v);
                 }
             }
             SYNC_THREADS
