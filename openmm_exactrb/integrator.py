@@ -6,7 +6,7 @@ import copy
 import threading
 import time
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import openmm
@@ -18,6 +18,7 @@ from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.updates import warn_of_removed_motion
 from openmm_exactrb.engines.engine import Propagator, Settings
 from openmm_exactrb.engines.selection import Selection
+from openmm_exactrb.mechanics.free_motion import Constrain
 from openmm_exactrb.multiple_time_steps.fast_forces import MultipleTimeSteps
 from openmm_exactrb.openmm_access.closed_program import OwnProgram
 from openmm_exactrb.openmm_access.find_context import find_context
@@ -77,6 +78,9 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         Whether to raise an error if the total energy jumps. Pass False if your own forces or substeps do work, as in
         active matter. The total energy is also not checked if the System has a PythonForce from outside this package or
         a force of a plugin, because these forces may do work. Non-finite numbers always raise an error.
+    constraints : sequence of callable, optional
+        Types of constraints in addition to the distances of the System, on the host only: functions of the free motion
+        and the bodies that return the constrained free motion (see "A constraint type" in the documentation).
 
     Raises
     ------
@@ -102,6 +106,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         *,
         forceInterval: float | unit.Quantity | None = None,
         checkDivergence: bool = True,
+        constraints: Sequence[Constrain] = (),
     ) -> None:
         check_first_arguments(stepSize, scheme)
         if thermostat is not None and not isinstance(thermostat, Thermostat):
@@ -116,6 +121,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         self._rotor = look_up_rotor(rotor)
         self._check = checks.switch(checkDivergence, "checkDivergence")
         self._bodies = None if bodies is None else checks.lists_of_indices(bodies, "bodies")
+        self._constraints = checks.functions(constraints, "constraints")
         self._h = self._step_of(stepSize, forceInterval)
         super().__init__(self._h)
         self._noise, self._version, self._groups = Noise(), 0, -1
@@ -294,7 +300,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         if thermostat is not None:
             steps, (splitting, splits) = thermostat.steps(self._scheme), thermostat.splitting(self._scheme)
         parts = steps, self._scheme, splitting, splits, self._h, self._groups
-        return Settings(*parts, self._rotor, self._fast, thermostat, self._bodies, self._check)
+        return Settings(*parts, self._rotor, self._fast, thermostat, self._bodies, self._check, self._constraints)
 
     def _step_of(self, size: float | unit.Quantity | None, interval: float | unit.Quantity | None) -> float:
         """Return the step size in ps, from the step size or from the interval between force evaluations."""
@@ -343,7 +349,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     def _arguments(self) -> dict[str, Any]:
         """Return the arguments that a copy needs in addition to the common arguments."""
         others = {"engine": self._selection.asked, "thermostat": self._thermostat, "checkDivergence": self._check}
-        return others | MultipleTimeSteps.arguments(self._fast)
+        return others | MultipleTimeSteps.arguments(self._fast) | {"constraints": self._constraints}
 
     def _up_to_date(self) -> Propagator:
         """Return the propagator of the present Context, updated with the user's changes."""
@@ -373,7 +379,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         if self._propagator is None or self._unsettled():
             self._settle(context := self._found())
             self._propagator = self._selection.engine.propagator(context, self, self._settings(), self.timings)
-            self._propagator.sync.new_trajectory = _parting(self)
+            self._propagator.sync.new_trajectory = self._noise.parting(self)
             warn_of_removed_motion(context.getSystem())
         return self._propagator
 
@@ -385,14 +391,3 @@ DEFAULT = "W2_1"
 
 # Settings of OpenMM's integrators that have methods getX and setX.
 _SETTINGS = "IntegrationForceGroups", "ConstraintTolerance", "RandomNumberSeed"
-
-
-def _parting(integrator: ExactRigidBodyIntegrator) -> Callable[[], None]:
-    """Return a callback that switches to new noise when a run branches off."""
-    reference, noise = weakref.ref(integrator), integrator._noise  # noqa: SLF001
-
-    def part() -> None:
-        if (alive := reference()) is not None:
-            noise.part(alive)
-
-    return part

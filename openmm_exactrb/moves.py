@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
+from openmm_exactrb.support.descriptions import mismatch
+
 #: exchange(tau) -> the numbers that kernels need for a heat exchange over tau (ps).
 Exchange = Callable[[float], tuple[float, ...]]
 
@@ -90,6 +92,8 @@ def of_substep(substep: Any, part: float) -> tuple[Move, ...]:
     moves: tuple[Move, ...] | None = substep.device_moves(part)
     if moves is None:
         raise ValueError(f"the substep {substep!r} has no code for a device: define its method device_moves()")
+    if why := mismatch(substep, "device_moves", "bind"):
+        raise ValueError(why)
     if any(move.op == Op.OWN and not MOVE.search(move.text) for move in moves):
         raise ValueError(
             f"the device code of {substep!r} must define `DEVICE inline void NAME(Body* body, double tau)`: correct "

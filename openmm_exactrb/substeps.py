@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
 import numpy as np
@@ -19,6 +19,7 @@ from openmm_exactrb.mathematics.quaternions import exponential, matrix, multiply
 from openmm_exactrb.mechanics.free_motion import Kinetic, advancing
 from openmm_exactrb.mechanics.state import Flow, Force, State
 from openmm_exactrb.moves import Move, Op
+from openmm_exactrb.support.descriptions import own_methods
 from openmm_exactrb.support.types import Array
 
 #: Matrix of a linear map of (q, p): ((dq/dq, dq/dp), (dp/dq, dp/dp)).
@@ -30,7 +31,8 @@ class Substep:
     """A part of a step.
 
     To define a custom substep, derive a frozen dataclass from this class, and use instances of it in the sequence of a
-    `Scheme`. The class need not be registered. Substeps are compared by value.
+    `Scheme`. The class need not be registered. Substeps are compared by value. A class that overrides `bind` inherits
+    neither `device_moves` nor `oscillator`, because these describe the flow of its base class.
 
     Attributes
     ----------
@@ -52,6 +54,19 @@ class Substep:
     kicks: ClassVar[bool] = False
     additive: ClassVar[bool] = False
     displaced_forces: ClassVar[int] = 0
+
+    def __init_subclass__(cls) -> None:
+        """Keep the comparison of this class, which `dataclass` would replace."""
+        super().__init_subclass__()
+        cls.__eq__ = Substep.__eq__  # type: ignore[method-assign]
+
+    def __eq__(self, other: object) -> bool:
+        """Return whether the other substep has the same class, the same values and the same methods of its own."""
+        if type(other) is not type(self):
+            return NotImplemented
+        names = [field.name for field in fields(self) if field.compare]
+        mine, theirs = ([getattr(some, name) for name in names] for some in (self, other))
+        return mine == theirs and own_methods(self) == own_methods(other)
 
     def bind(self, environment: Environment) -> Flow[State]:
         """Return ``flow(state, tau) -> state``, the motion of an `openmm_exactrb.mechanics.state.State` over tau (ps).

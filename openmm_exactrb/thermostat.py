@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import secrets
+import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import fields
@@ -54,6 +55,9 @@ class Thermostat(ABC):
         Name of the persistent variable that accumulates the energy supplied to the bodies.
     factors : Factors, optional
         The device kernel that computes the factors, if an exchange multiplies momenta by factors.
+    flows : tuple of str
+        Names of the methods that define the exchange on the host. A class that overrides one of them does not inherit
+        `kernel_exchange`.
     scheme : str
         The default scheme of an integrator with the thermostat: "BAOA", the splitting of LangevinMiddleIntegrator,
         which evaluates forces once per step. A deterministic thermostat needs a scheme that is symmetric in time.
@@ -63,6 +67,7 @@ class Thermostat(ABC):
     numbers: ClassVar[tuple[str, ...]] = ()
     heat: ClassVar[str | None] = None
     factors: Factors | None = None
+    flows: ClassVar[tuple[str, ...]] = ("bind", "flow")
     scheme: ClassVar[str] = "BAOA"
 
     @property
@@ -169,6 +174,16 @@ class Noise:
         if self._drew:
             self._streams = 1 + max(self._streams, int(variables.get(integrator, variables.STREAM)))
             variables.put(integrator, variables.STREAM, self._streams % _STREAMS)
+
+    def parting(self, integrator: openmm.CustomIntegrator) -> Callable[[], None]:
+        """Return a function without arguments that calls `part` if the integrator still exists."""
+        reference = weakref.ref(integrator)
+
+        def part() -> None:
+            if (alive := reference()) is not None:
+                self.part(alive)
+
+        return part
 
 
 def valid_seed(seed: int) -> int:

@@ -25,7 +25,9 @@ from openmm_exactrb.openmm_access.molecules import in_flexible_molecules
 from openmm_exactrb.schemes import scheme_for_thermostat
 from openmm_exactrb.schemes.step_errors import StepErrors, step_errors
 from openmm_exactrb.schemes.thermostatted import with_thermostat
+from openmm_exactrb.support.descriptions import mismatch
 from openmm_exactrb.support.types import Array
+from openmm_exactrb.thermostat import Thermostat
 from openmm_exactrb.thermostats.hybrid import HybridMonteCarlo
 from openmm_exactrb.thermostats.langevin import Langevin
 
@@ -94,7 +96,7 @@ def dynamics_of(simulation: Any) -> Dynamics:
         )
     theirs = isinstance(integrator, openmm.LangevinMiddleIntegrator)
     if not theirs and not (
-        isinstance(integrator, ExactRigidBodyIntegrator) and isinstance(integrator.getThermostat(), Langevin)
+        isinstance(integrator, ExactRigidBodyIntegrator) and _is_langevin(integrator.getThermostat())
     ):
         raise ValueError(
             "averages can be corrected only for Langevin dynamics: use ExactRigidBodyLangevinIntegrator or OpenMM's "
@@ -111,6 +113,11 @@ def dynamics_of(simulation: Any) -> Dynamics:
             "averages can be corrected only if the integrator uses all force groups: call "
             "integrator.setIntegrationForceGroups(set(range(32)))"
         )
+    if not theirs and integrator.getSettings()["arguments"]["constraints"]:
+        raise ValueError(
+            "averages can be corrected only for rigid bodies and distance constraints: create the integrator without "
+            "constraints="
+        )
     dynamics = (_of_openmm if theirs else _of_this_package)(simulation, frictions)
     if not dynamics.temperature:
         raise ValueError(
@@ -118,6 +125,11 @@ def dynamics_of(simulation: Any) -> Dynamics:
             "integrator.setTemperature"
         )
     return dynamics
+
+
+def _is_langevin(thermostat: Thermostat | None) -> bool:
+    """Return whether friction and noise of a thermostat are those of Langevin dynamics with its frictions."""
+    return isinstance(thermostat, Langevin) and not mismatch(thermostat, "frictions", *thermostat.flows)
 
 
 def _frictions(thermostat: Langevin) -> tuple[float, ...]:

@@ -92,12 +92,18 @@ class BodyAccess:
         Raises
         ------
         ValueError
-            If a group contains only part of a body or cluster.
+            If a group contains only part of a body or cluster, or constraints in ``constraints=`` remove degrees of
+            freedom.
         """
         propagator = self._up_to_date()
         sync = propagator.sync
         if groups is None:
             return temperatures_of(thermal_energies(propagator, sync.state), freedom_of(propagator))
+        if any(propagator.updates.lost):
+            raise ValueError(
+                "the degrees of freedom that constraints= removes from each group are unknown: call temperatures() "
+                "without groups"
+            )
         motions = of_groups(sync.bodies, sync.state, groups, propagator.updates.removes_motion)
         return {name: temperatures_of(*motion) for name, motion in motions.items()}
 

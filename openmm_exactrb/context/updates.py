@@ -43,13 +43,15 @@ class ContextUpdates:
 
     Attributes
     ----------
+    lost : tuple of int
+        The degrees of freedom of translation and of rotation that constraints other than distances remove.
     moves, pushes : bool
         Whether a barostat moves bodies, and whether a thermostat changes their momenta.
     temperatures : dict
         The names of barostats and thermostats, keyed by the Context parameter that holds their temperature.
     """
 
-    def __init__(self, context: openmm.Context, named: Sequence[Sequence[int]]) -> None:
+    def __init__(self, context: openmm.Context, named: Sequence[Sequence[int]], lost: tuple[int, int] = (0, 0)) -> None:
         removers = [force for force in context.getSystem().getForces() if type(force).__name__ == _REMOVER]
         acting = acting_updates(context)
         thermostats, barostats = ([f for f in acting if (type(f).__name__ == _THERMOSTAT) is t] for t in (True, False))
@@ -60,6 +62,7 @@ class ContextUpdates:
         self._advance = advancing()
         self._waiting = 0  # steps since OpenMM last acted
         self._since_trial = [0] * len(barostats)  # updates since the last trial of each barostat
+        self.lost = lost
         self.moves, self.pushes = bool(barostats), bool(thermostats)
         self.temperatures = {force.Temperature(): type(force).__name__ for force in acting}
 
@@ -95,7 +98,11 @@ class ContextUpdates:
 
     def freedom(self, bodies: RigidBodies) -> tuple[int, int]:
         """Return the degrees of freedom of translation and of rotation."""
-        return bodies.translational_freedom - 3 * self.removes_motion, bodies.rotational_freedom
+        translation, rotation = self.lost
+        return (
+            bodies.translational_freedom - 3 * self.removes_motion - translation,
+            bodies.rotational_freedom - rotation,
+        )
 
     @property
     def period(self) -> int:

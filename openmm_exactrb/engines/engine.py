@@ -16,6 +16,7 @@ import openmm
 from openmm_exactrb.context.synchronisation import Synchronisation
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.updates import ContextUpdates
+from openmm_exactrb.mechanics.free_motion import Constrain
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.multiple_time_steps.fast_forces import MultipleTimeSteps
 from openmm_exactrb.rotors import Rotor
@@ -50,6 +51,8 @@ class Settings:
         The particles of bodies in addition to the bodies defined by constraints.
     check : bool
         Whether a jump of the total energy raises an error.
+    constraints : tuple of callable
+        Types of constraints in addition to distances; see `openmm_exactrb.mechanics.free_motion`.
     """
 
     scheme: Scheme
@@ -63,6 +66,7 @@ class Settings:
     thermostat: Thermostat | None
     named: list[list[int]] | None
     check: bool
+    constraints: tuple[Constrain, ...] = ()
 
     @property
     def numbers(self) -> tuple[str, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -31,6 +31,8 @@ class Kinetic:
     tangent: Callable[[State], State]
     #: The drift "inner" of bodies with inner steps and the drift of the "others", if only some bodies have inner steps.
     split: Mapping[str, Flow[State]] = field(default_factory=dict)
+    #: The degrees of freedom of translation and of rotation that constraints other than distances remove.
+    lost: tuple[int, int] = (0, 0)
 
 
 def rigid(mass: Array, rotation: Rotation) -> Kinetic:
@@ -77,19 +79,17 @@ def geodesics(free: Kinetic, bodies: RigidBodies) -> Kinetic:
     return Kinetic(drift, displaced, tangent)
 
 
-#: The types of constraints: constrain(free, bodies) -> the free motion that satisfies the constraints.
-CONSTRAINTS: dict[str, Callable[[Kinetic, RigidBodies], Kinetic]] = {"distances": geodesics}
+#: A type of constraint: constrain(free, bodies) -> the free motion that also satisfies the constraint.
+Constrain = Callable[[Kinetic, RigidBodies], Kinetic]
 
 
-def only_distances() -> bool:
-    """Return whether all constraints are distances, the only constraints that compiled inner steps support."""
-    return set(CONSTRAINTS.values()) == {geodesics}
+def free_motion(bodies: RigidBodies, rotor: str | Rotor, constraints: Iterable[Constrain] = ()) -> Kinetic:
+    """Return the motion of bodies without forces: free translation and rotation, subject to constraints.
 
-
-def free_motion(bodies: RigidBodies, rotor: str | Rotor) -> Kinetic:
-    """Return the motion of bodies without forces: free translation and rotation, subject to constraints."""
+    The distance constraints of the bodies are applied first, then the given constraints in sequence.
+    """
     kinetic = rigid(bodies.mass, rotor_of_sums(rotor, bodies.inertia, checked=False))
-    for constrain in CONSTRAINTS.values():
+    for constrain in (geodesics, *constraints):
         kinetic = constrain(kinetic, bodies)
     return kinetic
 

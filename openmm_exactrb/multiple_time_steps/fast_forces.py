@@ -174,7 +174,7 @@ class FastForces:
             )
         if self.settings.asked_for or not outer.stages:
             return self.settings.asked_for
-        known = all(isinstance(s, (Drift, GradientKick, HeatExchange)) or s == KICK for s, _ in outer.sequence)
+        known = all(type(s) in (Drift, GradientKick, HeatExchange) or s == KICK for s, _ in outer.sequence)
         return known and abs(h) / outer.stages * self.frequency / (2.0 * math.pi) > _LONGEST_PLAIN
 
 

@@ -2,7 +2,8 @@
 
 The drift of the outer scheme is the flow of the kinetic energy and of a fast potential, and is itself split by the
 method of M. Tuckerman, B. J. Berne and G. J. Martyna, J. Chem. Phys. 97, 1990 (1992), doi:10.1063/1.463137. Bodies on
-which fast bonded forces do not act have a single drift; with named force groups, all bodies have inner steps.
+which fast bonded forces do not act have a single drift. With named force groups, or with constraints that may join any
+bodies, all bodies have inner steps.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from openmm_exactrb.context.forces import ContextForces, EvaluatedForces, Remain
 from openmm_exactrb.context.synchronisation import Positions, Synchronisation
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.mechanics.divergence import DivergenceCheck
-from openmm_exactrb.mechanics.free_motion import Kinetic, free_motion, only_distances, rigid
+from openmm_exactrb.mechanics.free_motion import Kinetic, free_motion, rigid
 from openmm_exactrb.mechanics.state import Flow, State
 from openmm_exactrb.multiple_time_steps.compiled_forces import BondedForces, terms_of
 from openmm_exactrb.multiple_time_steps.compiled_inner_steps import CompiledInnerSteps
@@ -34,10 +35,15 @@ _COUNTER = "fast_evaluations"
 
 
 class InnerDrift:
-    """Drifts of the bodies of a Context that include fast forces, and the resonances of the fast motions."""
+    """Drifts of the bodies of a Context that include fast forces, and the resonances of the fast motions.
 
-    def __init__(self, fast: FastForces, sync: Synchronisation, rotor: Rotor, timings: Timings) -> None:
-        self.fast, self._bodies, self._timings = fast, sync.bodies, timings
+    Bodies without fast forces have inner steps too if they are not `separable` from the others.
+    """
+
+    def __init__(
+        self, fast: FastForces, sync: Synchronisation, rotor: Rotor, timings: Timings, separable: bool = True
+    ) -> None:
+        self.fast, self._bodies, self._timings, self._separable = fast, sync.bodies, timings, separable
         excerpt = fast.excerpt
         self._own = None if excerpt is None else ExcerptPositions(excerpt, sync)
         self._part = sync.bodies if excerpt is None else excerpt.part.bodies
@@ -69,7 +75,20 @@ class InnerDrift:
             drift = inner_steps(timed(kinetic.drift), fast_kick, inner, repetitions)
             return drift, {}, SlowGroups(forces, fast, self._timings)
         own, part = self._own, self._own.excerpt.part
-        inner_bodies, fast = self._of_excerpt(own, forces, divergence, inner, repetitions)
+        fast = self._forces_of(own, forces)
+        slow, fast_kick = Remainder(forces, fast, part), kick(fast, divergence.of_inner_steps(self._part))
+        if not self._separable:
+
+            def kick_of_part(state: State, tau: float) -> State:
+                return part.into(state, fast_kick(part.of(state), tau))
+
+            drift = inner_steps(_followed_by(own.moved, kinetic.drift), kick_of_part, inner, repetitions)
+            return _followed_by(own.keep_up, timed(drift)), {}, slow
+        inner_bodies: Flow[State]
+        if isinstance(fast, BondedForces) and self._rotor in COMPILED:
+            inner_bodies = CompiledInnerSteps(fast, inner, repetitions, divergence)
+        else:
+            inner_bodies = inner_steps(_followed_by(own.moved, self._free.drift), fast_kick, inner, repetitions)
         others = self._of_others(kinetic)
 
         def of_all(state: State, tau: float) -> State:
@@ -85,26 +104,12 @@ class InnerDrift:
             "inner": _followed_by(own.keep_up, timed(of_inner, passes=False)),
             "others": _followed_by(own.keep_up, timed(of_others)),
         }
-        return _followed_by(own.keep_up, timed(of_all)), split, Remainder(forces, fast, part)
+        return _followed_by(own.keep_up, timed(of_all)), split, slow
 
-    def _of_excerpt(
-        self,
-        own: ExcerptPositions,
-        forces: ContextForces,
-        divergence: DivergenceCheck,
-        inner: Sequence,
-        repetitions: Callable[[float], int],
-    ) -> tuple[Flow[State], ContextForces]:
-        """Return the drift with inner steps for the bodies of the excerpt, and their fast forces."""
+    def _forces_of(self, own: ExcerptPositions, forces: ContextForces) -> ContextForces:
+        """Return the fast forces on the bodies of the excerpt, by compiled kernels if these support them."""
         terms, of_groups = terms_of(own.excerpt.numbered, forces.groups), (forces.groups, self._timings, _COUNTER)
-        if terms is None:
-            fast = ContextForces(own, *of_groups)
-        else:
-            fast = BondedForces(terms, own, *of_groups)
-            if self._rotor in COMPILED and only_distances():
-                return CompiledInnerSteps(fast, inner, repetitions, divergence), fast
-        fast_kick = kick(fast, divergence.of_inner_steps(self._part))
-        return inner_steps(_followed_by(own.moved, self._free.drift), fast_kick, inner, repetitions), fast
+        return ContextForces(own, *of_groups) if terms is None else BondedForces(terms, own, *of_groups)
 
     def _of_others(self, kinetic: Kinetic) -> Flow[State]:
         """Return a drift that is valid for bodies outside the excerpt.
@@ -112,7 +117,7 @@ class InnerDrift:
         If no nonrigid cluster is outside the excerpt, this is the cheaper drift of rigid bodies.
         """
         clusters_outside = len(self._part.clusters) < len(self._bodies.clusters)
-        return kinetic.drift if clusters_outside or not only_distances() else self._rigid.drift
+        return kinetic.drift if clusters_outside else self._rigid.drift
 
 
 def inner_steps(

@@ -67,7 +67,7 @@ class Scheme:
     def __post_init__(self) -> None:
         if not self.sequence:
             raise ValueError(f"scheme {self.name}: the sequence of a step must contain at least one substep")
-        for row in (*self.sequence, *self.processor, *self.output):
+        for row in self.rows:
             if not (isinstance(row, tuple) and len(row) == 2 and isinstance(row[0], Substep)):
                 raise ValueError(
                     f"scheme {self.name}: a sequence must consist of pairs of a Substep and its fraction of the step, "
@@ -83,6 +83,11 @@ class Scheme:
         return (
             f"Scheme({self.name!r}, order {orders}, {self.forces} forces per step, {self.first} first{kind}{processed})"
         )
+
+    @property
+    def rows(self) -> Substeps:
+        """The substeps of the sequence, the processor and the output, each with its fraction of the step."""
+        return (*self.sequence, *self.processor, *self.output)
 
     @property
     def first(self) -> Outer:

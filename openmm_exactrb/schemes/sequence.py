@@ -10,6 +10,7 @@ from typing import TypeVar
 from openmm_exactrb.mechanics.state import Flow
 from openmm_exactrb.substeps import Drift, HeatExchange, Substep, of_symbol
 from openmm_exactrb.substeps import Sequence as Sequence
+from openmm_exactrb.support.descriptions import mismatch
 
 _S = TypeVar("_S")
 
@@ -36,7 +37,7 @@ def merged(sequence: Iterable[tuple[Substep, float]]) -> Sequence:
     """Return a sequence in which equal neighbouring substeps are merged if they are additive."""
     rows: list[tuple[Substep, float]] = []
     for substep, part in sequence:
-        if rows and rows[-1][0] == substep and substep.additive:
+        if rows and rows[-1][0] == substep and substep.additive and not mismatch(substep, "additive", "bind"):
             part += rows.pop()[1]
         rows.append((substep, part))
     return tuple(rows)

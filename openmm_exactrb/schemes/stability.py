@@ -11,6 +11,7 @@ from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.sequence import Sequence
 from openmm_exactrb.substeps import Matrix
 from openmm_exactrb.support import checks
+from openmm_exactrb.support.descriptions import mismatch
 
 # The spacing of the tested steps, and the number of steps that are tested together.
 _RESOLUTION, _AT_ONCE = 1e-4, 10_000
@@ -87,11 +88,14 @@ def shadow(scheme: Scheme, step: float) -> Shadow:
 def oscillated(sequence: Sequence, h: Any) -> Matrix:
     """Return the matrix of a sequence for q'' = -q: ((dq/dq, dq/dp), (dp/dq, dp/dp)).
 
-    The step size h, a number or an array, is in units of 1/omega; the entries have the shape of h.
+    The step size h, a number or an array, is in units of 1/omega; the entries have the shape of h. A ValueError is
+    raised for a substep whose matrix is unknown.
     """
     zero = 0.0 * h
     (qq, qp), (pq, pp) = (1.0 + zero, zero), (zero, 1.0 + zero)
     for substep, part in sequence:
         (aa, ab), (ba, bb) = substep.oscillator(part * h)
+        if why := mismatch(substep, "oscillator", "bind"):
+            raise ValueError(why)
         qq, qp, pq, pp = aa * qq + ab * pq, aa * qp + ab * pp, ba * qq + bb * pq, ba * qp + bb * pp
     return (qq, qp), (pq, pp)

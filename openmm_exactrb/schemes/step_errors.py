@@ -112,8 +112,7 @@ def _around_exchange(scheme: Scheme) -> tuple[Sequence, Sequence]:
     if isinstance(rows[0][0], HeatExchange) and isinstance(rows[-1][0], HeatExchange) and len(rows) > 1:
         rows = rows[1:]  # the halves of one exchange
     places = [k for k, (substep, _) in enumerate(rows) if isinstance(substep, HeatExchange)]
-    moves = tuple(row for row in rows if not isinstance(row[0], HeatExchange))
-    known = all(substep == Drift() or substep == Kick() or isinstance(substep, GradientKick) for substep, _ in moves)
+    known = all(s in (Drift(), Kick()) or type(s) in (GradientKick, HeatExchange) for s, _ in rows)
     if len(places) == 1 and known and not scheme.processor:
         behind, before = rows[places[0] + 1 :], rows[: places[0]]
         if palindromic(merged(behind + before)):

@@ -12,6 +12,7 @@ from types import MappingProxyType
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.sequence import Sequence, palindromic, repeated, second_moments, spelled
 from openmm_exactrb.substeps import DRIFT, HEAT_EXCHANGE, KICK, Drift, HeatExchange, Substep
+from openmm_exactrb.support.descriptions import changed
 
 _PARTICLES = "B. Leimkuhler and C. Matthews, J. Chem. Phys. 138, 174102 (2013), doi:10.1063/1.4802990, for particles"
 _MIDDLE = "Z. Zhang et al., J. Phys. Chem. A 123, 6056 (2019), doi:10.1021/acs.jpca.9b02771, for particles"
@@ -95,7 +96,7 @@ def _between_halves(sequence: Sequence) -> Sequence:
 def _numbered(scheme: Scheme, sequence: Sequence) -> Scheme:
     """Return a scheme with this sequence and with numbered heat exchanges, so that each receives different noise."""
     numbers = itertools.count()
-    rows = ((HeatExchange(next(numbers)) if isinstance(s, HeatExchange) else s, part) for s, part in sequence)
+    rows = ((changed(s, number=next(numbers)) if isinstance(s, HeatExchange) else s, part) for s, part in sequence)
     return replace(scheme, sequence=tuple(rows))
 
 

@@ -100,6 +100,14 @@ def owners(bodies: Sequence[Sequence[int] | Indices], n_particles: int) -> Indic
     return owner
 
 
+def functions(value: Any, name: str) -> tuple[Any, ...]:
+    """Return a sequence of functions as a tuple; raise ValueError for anything else."""
+    given = tuple(value) if _iterable(value) else (None,)
+    if not all(map(callable, given)):
+        raise ValueError(f"{name} must be a sequence of functions, such as [on_a_plane], not {shown(value)}")
+    return given
+
+
 def _has_unit(value: Any) -> bool:
     """Return whether a value, or one in a list of values, is a Quantity."""
     return hasattr(value, "unit") or (isinstance(value, (list, tuple)) and any(hasattr(x, "unit") for x in value))

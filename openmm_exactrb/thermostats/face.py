@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any, TypedDict
 
 from openmm import unit
@@ -12,7 +11,9 @@ from openmm_exactrb.context import variables
 from openmm_exactrb.context.body_access import freedom_of, temperatures_of, thermal_energies
 from openmm_exactrb.engines.engine import NO_BALANCE
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.mechanics.free_motion import Constrain
 from openmm_exactrb.schemes import Scheme
+from openmm_exactrb.support.descriptions import changed
 
 
 class Options(TypedDict, total=False):
@@ -25,6 +26,7 @@ class Options(TypedDict, total=False):
     engine: str
     forceInterval: float | unit.Quantity | None
     checkDivergence: bool
+    constraints: Sequence[Constrain]
 
 
 class ThermostattedIntegrator(ExactRigidBodyIntegrator):
@@ -76,7 +78,7 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
 
     def _change(self, **settings: Any) -> None:
         """Change settings of the thermostat."""
-        self._thermostat = replace(self._thermostat, **settings)
+        self._thermostat = changed(self._thermostat, **settings)
         self._changed()
 
     def _arguments(self) -> dict[str, Any]:

@@ -142,9 +142,11 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
         As in `ExactRigidBodyLangevinIntegrator`; the temperature must be positive.
     stepSize : float or Quantity, optional
         Duration of a proposal, in ps if it has no unit. Pass either ``stepSize`` or ``forceInterval``.
-    scheme, rotor, rotationalFriction, flexibleFriction, bodies, fast, inner, innerSteps, forceInterval, checkDivergence
+    scheme, rotor, rotationalFriction, flexibleFriction, bodies, fast, inner, innerSteps, forceInterval
         As in `ExactRigidBodyLangevinIntegrator`; the scheme must be symmetric and contain no thermostat, as is the case
         for the default, "S2_2". ``innerSteps`` is the number of inner steps in one step of the scheme.
+    checkDivergence, constraints
+        As in `ExactRigidBodyLangevinIntegrator`.
     stepsPerProposal : int, optional
         Number of steps of the scheme in a proposal, each of the size stepSize/stepsPerProposal.
 

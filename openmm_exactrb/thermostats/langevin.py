@@ -202,7 +202,7 @@ class ExactRigidBodyLangevinIntegrator(HeatedIntegrator):
         it has no unit; by default the frictions of all other bodies. This friction controls the temperature of a
         protein at long steps without affecting the friction of water. Molecules are those of ``Context.getMolecules``,
         and a body of ``bodies`` joins its molecules.
-    bodies, fast, inner, innerSteps, forceInterval, checkDivergence : optional
+    bodies, fast, inner, innerSteps, forceInterval, checkDivergence, constraints : optional
         As in `ExactRigidBodyIntegrator`.
     engine : {"auto", "host", "device"}, optional
         As in `ExactRigidBodyIntegrator`. `temperaturesAroundThermostat` is not available on the device.

@@ -75,6 +75,7 @@ class NoseHooverChain(Thermostat):
     numYoshidaSuzuki: int = 7
     together: bool = False
 
+    flows: ClassVar[tuple[str, ...]] = (*Thermostat.flows, "moved")
     scheme: ClassVar[str] = "BAOAB"  # symmetric in time, as the chains are
 
     def __post_init__(self) -> None:
@@ -205,7 +206,7 @@ class ExactRigidBodyNoseHooverIntegrator(ThermostattedIntegrator):
     temperature, collisionFrequency, chainLength, numMTS, numYoshidaSuzuki, together
         As in `NoseHooverChain`; ``chainLength``, ``numMTS`` and ``numYoshidaSuzuki`` have the same meaning as in
         OpenMM's NoseHooverIntegrator.
-    stepSize, scheme, rotor, bodies, fast, inner, innerSteps, forceInterval, checkDivergence
+    stepSize, scheme, rotor, bodies, fast, inner, innerSteps, forceInterval, checkDivergence, constraints
         As in `ExactRigidBodyLangevinIntegrator`.
 
     Notes

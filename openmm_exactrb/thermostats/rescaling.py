@@ -153,7 +153,7 @@ class ExactRigidBodyRescalingIntegrator(HeatedIntegrator):
     ----------
     temperature, relaxationTime, together
         As in `StochasticRescaling`.
-    stepSize, scheme, rotor, bodies, fast, inner, innerSteps, forceInterval, checkDivergence
+    stepSize, scheme, rotor, bodies, fast, inner, innerSteps, forceInterval, checkDivergence, constraints
         As in `ExactRigidBodyLangevinIntegrator`.
 
     Notes

@@ -19,7 +19,6 @@ import three_masses
 from on_device import device_platform
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.engines import ENGINES
-from openmm_exactrb.mechanics import free_motion
 from openmm_exactrb.mechanics.fit import fit
 from openmm_exactrb.mechanics.state import State
 from orders import slope
@@ -185,13 +184,13 @@ def test_a_force_without_openmm_is_a_function_of_a_state(rng):
     assert abs(slope(lambda n: advance(bodies, state, t / n, n, scheme).R[0], (4, 6, 8)) - 4.0) < 0.35
 
 
-def pushed(scheme):
+def pushed(scheme, **options):
     """Return the state of a triangle that a force pushes along the diagonal of space, after five steps."""
     system, force = three_masses.system(), openmm.CustomExternalForce("-10*(x+y+z)")
     for i in range(3):
         force.addParticle(i)
     system.addForce(force)
-    integrator = rb.ExactRigidBodyIntegrator(0.01, scheme=scheme)
+    integrator = rb.ExactRigidBodyIntegrator(0.01, scheme=scheme, **options)
     _context = context_of(system, integrator, three_masses.POSITIONS)
     integrator.setVelocitiesToTemperature(100.0, 1)
     begin = integrator.fullState()[1]
@@ -200,23 +199,21 @@ def pushed(scheme):
 
 
 @pytest.mark.parametrize("scheme", ["V2", "Chin4A"])
-def test_a_constraint_type_is_one_entry(monkeypatch, scheme):
-    """With forces at displaced positions too."""
+def test_a_constraint_type_is_an_argument(scheme):
+    """With forces at displaced positions too, and of this integrator alone."""
+    on_a_plane = typed("A constraint type")["on_a_plane"]
+    begin, plane = pushed(scheme, constraints=[on_a_plane])
     _, space = pushed(scheme)
-    monkeypatch.setattr(free_motion, "CONSTRAINTS", dict(free_motion.CONSTRAINTS))
-    typed("A constraint type")
-    begin, plane = pushed(scheme)
     np.testing.assert_array_equal(plane.R[:, :2], space.R[:, :2])
     np.testing.assert_array_equal(plane.R[:, 2], begin.R[:, 2])
     assert abs(space.R[0, 2] - begin.R[0, 2]) > 1e-3
 
 
-def test_a_constraint_type_holds_within_inner_steps(monkeypatch):
+def test_a_constraint_type_holds_within_inner_steps():
     """Also where the compiled ones, which know distances alone, would be faster."""
-    monkeypatch.setattr(free_motion, "CONSTRAINTS", dict(free_motion.CONSTRAINTS))
-    typed("A constraint type")
     _, system, x = peptide()
-    integrator = rb.ExactRigidBodyIntegrator(0.002, "S2_2", fast="bonded")
+    constraints = [typed("A constraint type")["on_a_plane"]]
+    integrator = rb.ExactRigidBodyIntegrator(0.002, "S2_2", fast="bonded", constraints=constraints)
     _context = context_of(system, integrator, x, kelvin=300.0)
     _, begin = integrator.fullState()
     integrator.step(3)

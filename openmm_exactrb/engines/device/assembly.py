@@ -107,5 +107,4 @@ class Assembly:
 
 def _moves(scheme: Scheme) -> Iterable[Move]:
     """Return the moves of the sequence, the processor and the output of a scheme."""
-    rows = (*scheme.sequence, *scheme.processor, *scheme.output)
-    return [move for substep, part in rows for move in of_substep(substep, part)]
+    return [move for row in scheme.rows for move in of_substep(*row)]

@@ -17,22 +17,30 @@ from openmm_exactrb.moves import Op, of_substep
 from openmm_exactrb.openmm_access import platforms
 from openmm_exactrb.openmm_access.rebind import rebind
 from openmm_exactrb.rotors import ROTORS
+from openmm_exactrb.schemes.scheme import Scheme
+from openmm_exactrb.substeps import Drift
+from openmm_exactrb.support.descriptions import mismatch
 from openmm_exactrb.support.warn import warn
 
 _ROTORS = ("exact", "exact_numpy", "exact_compiled")
 
 
 def _unsupported(settings: Settings) -> str | None:
-    """Return the reason why the rotor, the thermostat or a substep is not supported, or None."""
+    """Return the reason why the rotor, the thermostat, a constraint or a substep is not supported, or None."""
     thermostat, rotor, scheme = settings.thermostat, settings.rotor, settings.scheme
-    if thermostat is not None and thermostat.kernel_exchange(0.0, (0, 0)) is None:
-        return f"the device does not support {type(thermostat).__name__}"
+    if settings.constraints:
+        return f"the device supports only constraints of the System, not {settings.constraints[0]!r} in constraints="
+    if thermostat is not None:
+        if thermostat.kernel_exchange(0.0, (0, 0)) is None:
+            return f"the device does not support {type(thermostat).__name__}"
+        if why := mismatch(thermostat, "kernel_exchange", *thermostat.flows):
+            return why
     if rotor not in map(ROTORS.get, _ROTORS):
         own = "" if ROTORS.get(rotor.name) is rotor else "your own rotor "
         return f"the device supports only the exact rotor, not {own}{rotor.name}"
     try:
-        for substep, part in (*scheme.sequence, *scheme.processor, *scheme.output):
-            of_substep(substep, part)
+        for row in scheme.rows:
+            of_substep(*row)
     except ValueError as error:
         return str(error)
     return None
@@ -53,16 +61,24 @@ def _unsupported_in(context: Any, settings: Settings) -> str | None:
         molecules, evaluated = served(context, bodies, fast, settings)
     except NotServedError as error:
         return str(error)
-    if evaluated is not None and settings.scheme.has_gradients:
-        return f"the device has no kernel for {evaluated.what}, which the force gradients of {settings.outer.name} need"
+    if evaluated is not None and (why := _unsupported_around(settings.scheme)):
+        return f"the device has no kernel for {evaluated.what}, which {why} of {settings.outer.name} need"
     return _unsupported_beside_molecules(settings) if molecules else None
+
+
+def _unsupported_around(scheme: Scheme) -> str | None:
+    """Return the substeps that cannot contain inner steps for which OpenMM evaluates forces, or None."""
+    if scheme.has_gradients:
+        return "the force gradients"
+    own = [substep for substep, _ in scheme.rows if isinstance(substep, Drift) and type(substep) is not Drift]
+    return f"the drifts {own[0]!r}" if own else None
 
 
 def _unsupported_beside_molecules(settings: Settings) -> str | None:
     """Return the reason why the kernels of flexible molecules do not support the scheme, or None."""
     if settings.scheme.has_gradients:
         return f"the device has no force-gradient kicks for flexible molecules, which {settings.outer.name} needs"
-    for substep, part in settings.scheme.sequence:
+    for substep, part in settings.scheme.rows:
         if any(move.op == Op.OWN for move in of_substep(substep, part)):
             return f"the device has no kernel of {substep!r} for flexible molecules"
     return None

@@ -19,7 +19,8 @@ from openmm_exactrb.mechanics.free_motion import Kinetic
 from openmm_exactrb.mechanics.state import Flow, State
 from openmm_exactrb.openmm_access.molecules import in_flexible_molecules
 from openmm_exactrb.schemes.sequence import Sequence, bound, through
-from openmm_exactrb.substeps import Drift, Substep
+from openmm_exactrb.substeps import Substep
+from openmm_exactrb.support.descriptions import mismatch
 from openmm_exactrb.support.types import Array
 from openmm_exactrb.thermostat import kinetic_gain
 
@@ -83,25 +84,29 @@ class HostEnvironment:
         return self.updates.freedom(self.bodies)
 
     def bound(self, sequence: Sequence, h: float) -> Bound:
-        """Return the flows of a sequence and their times, for the step size h (ps)."""
+        """Return the flows of a sequence and their times, for the step size h (ps).
+
+        With constraints other than distances, a projection of the momenta follows, because the last flow may be a kick.
+        """
         flows: dict[Substep, Flow[State]] = {}
         for substep, _ in sequence:
             if substep not in flows:
                 flows[substep] = self._flow_of(substep)
-        return bound(sequence, flows, h)
+        projection: Bound = [(lambda state, _: self.kinetic.tangent(state), 0.0)] if self.settings.constraints else []
+        return bound(sequence, flows, h) + projection
 
     def _flow_of(self, substep: Substep) -> Flow[State]:
         """Return the flow of a substep, which marks the positions as changed if the substep may change them."""
         flow = substep.bind(self)
-        if not substep.moves or isinstance(substep, Drift):  # the propagator's drifts mark changes of positions
+        if not substep.moves and not mismatch(substep, "moves", "bind"):
             return flow
 
         def moving(state: State, tau: float) -> State:
             version = self.positions.version
-            state = flow(state, tau)
-            if self.positions.version == version:
+            after = flow(state, tau)
+            if self.positions.version == version and (substep.moves or _displaced(state, after)):
                 self.moved()
-            return state
+            return after
 
         return moving
 
@@ -115,3 +120,8 @@ class HostEnvironment:
             return through(known[h], state)
 
         return flow
+
+
+def _displaced(before: State, after: State) -> bool:
+    """Return whether a flow may have changed positions; a flow that keeps them returns the same arrays."""
+    return after.R is not before.R or after.q is not before.q

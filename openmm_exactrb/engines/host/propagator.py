@@ -102,14 +102,15 @@ class HostPropagator:
     ) -> None:
         rotor = settings.rotor
         self.sync = Synchronisation(context, integrator, settings.named)
-        self.updates = ContextUpdates(context, settings.named or [])
+        self._kinetic = free_motion(self.sync.bodies, rotor, settings.constraints)
+        self.updates = ContextUpdates(context, settings.named or [], self._kinetic.lost)
         self._updates_act = self.updates.act
         self._conserves = conserve_energy(context.getSystem())
         self._timings, self._integrator = timings, weakref.ref(integrator)
         self._positions = self.sync.positions
-        self._kinetic = free_motion(self.sync.bodies, rotor)
         found = fast_forces(context.getSystem(), self.sync.bodies, settings.fast)
-        self._inner_drift = None if found is None else InnerDrift(found, self.sync, rotor, timings)
+        separable = not settings.constraints
+        self._inner_drift = None if found is None else InnerDrift(found, self.sync, rotor, timings, separable)
         self._clock = Clock(context)
         self._version: object = None
         self._processed, self._coordinates, self._h = False, 0.0, 0.0
@@ -350,8 +351,9 @@ class HostPropagator:
         self, settings: Settings, forces: ContextForces, divergence: DivergenceCheck
     ) -> tuple[Kinetic, EvaluatedForces]:
         """Return the free motion, including any fast forces, and the forces of kicks."""
-        kinetic, clusters, check = self._kinetic, bool(len(self.sync.bodies.clusters)), divergence.finite
-        displaced = _checked(kinetic.displaced, check) if clusters else kinetic.displaced
+        kinetic, check = self._kinetic, divergence.finite
+        constrained = bool(settings.constraints) or bool(len(self.sync.bodies.clusters))
+        displaced = _checked(kinetic.displaced, check) if constrained else kinetic.displaced
         inner, scheme = self._inner_drift, settings.splitting
         drift, slow = self._timed(kinetic.drift), cast(EvaluatedForces, forces)
         split: Mapping[str, Flow[State]] = {}
@@ -360,7 +362,7 @@ class HostPropagator:
             drift, split, slow = inner.split(forces, kinetic, self._timed, divergence, scheme, h)
             if any(substep.kicks for substep, _ in settings.scheme.sequence):  # hybrid Monte Carlo rejects hot states
                 inner.resonances.warn(scheme, abs(h))
-        if clusters:  # the drift of a cluster may fail, unlike that of a rigid body
+        if constrained:  # the drift of a cluster may fail, unlike that of a rigid body
             drift, split = _checked(drift, check), {name: _checked(some, check) for name, some in split.items()}
         return Kinetic(drift, displaced, kinetic.tangent, split), slow
 
