@@ -3,8 +3,9 @@
 from openmm_exactrb import ensemble
 from openmm_exactrb.averages import AverageReporter, corrected, pressure_offset
 from openmm_exactrb.dielectric import dielectric_constant
+from openmm_exactrb.errors import IntegrationError, NonFiniteError
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
-from openmm_exactrb.mechanics.divergence import IntegrationError, NonFiniteError, StepSizeWarning
+from openmm_exactrb.mechanics.divergence import StepSizeWarning
 from openmm_exactrb.mechanics.fit import ShapeWarning
 from openmm_exactrb.multiple_time_steps.bonded import separate_bonded
 from openmm_exactrb.potentials import Ewald, Open, ReactionField, dipole_strength, soft_dipole_force

@@ -16,6 +16,7 @@ from openmm_exactrb.context.body_access import BodyAccess
 from openmm_exactrb.context.replaced import replace_methods
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.updates import warn_of_removed_motion
+from openmm_exactrb.copies import SETTINGS, Copied, copied_by_openmm
 from openmm_exactrb.engines.engine import Propagator, Settings
 from openmm_exactrb.engines.selection import Selection
 from openmm_exactrb.mechanics.free_motion import Constrain
@@ -27,11 +28,11 @@ from openmm_exactrb.rotors import ROTORS, Rotor
 from openmm_exactrb.rotors import look_up as look_up_rotor
 from openmm_exactrb.schemes import Scheme, splitting
 from openmm_exactrb.schemes import scheme as look_up
-from openmm_exactrb.support import checks, copies
+from openmm_exactrb.support import checks
 from openmm_exactrb.thermostat import Noise, Thermostat, valid_seed
 
 
-class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
+class ExactRigidBodyIntegrator(Copied, OwnProgram, openmm.CustomIntegrator, BodyAccess):
     """Rigid-body dynamics with the exact free rotation and a symmetric splitting.
 
     Rigid bodies are the clusters of particles that the constraints of the System make rigid. Particles without
@@ -132,6 +133,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         self._propagator: Propagator | None = None
         self._at_work = threading.Lock()  # held while `step` runs
         self._made = True
+        self._complete()
 
     # -- settings -------------------------------------------------------------------------------------------------
 
@@ -316,35 +318,20 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
             )
         return picoseconds(interval) * self.forceEvaluationsPerStep
 
-    def _changed(self) -> None:  # substeps are bound again before the next step
-        self._version += 1
+    def _changed(self) -> None:
+        self._version += 1  # substeps are bound again before the next step
+        self._describe()
 
     def getSettings(self) -> dict[str, dict[str, Any]]:
         """Return all settings of this integrator, which are its arguments and the values set by OpenMM's setters."""
         rotor = self._rotor.name if ROTORS.get(self._rotor.name) is self._rotor else self._rotor
         arguments = {"stepSize": self._h, "scheme": self._scheme, "rotor": rotor, "bodies": self._bodies}
-        settings = {name: getattr(self, f"get{name}")() for name in _SETTINGS}
+        settings = {name: getattr(self, f"get{name}")() for name in SETTINGS}
         return {"arguments": arguments | self._arguments(), "settings": settings}
 
     def __repr__(self) -> str:
         """Return the type, the step size, the scheme and the rotor."""
         return f"{type(self).__name__}({self._h:g} ps, scheme={self._scheme.name!r}, rotor={self._rotor.name!r})"
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Return the settings for copies and pickles; a copy has no Context."""
-        return copies.restored, self._parts()
-
-    def __copy__(self) -> Any:
-        """Return an integrator with the same settings and no Context."""
-        return copies.restored(*self._parts())
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> Any:
-        """Return an integrator with the same settings, no Context, and deep copies of user-defined attributes."""
-        return copies.restored(type(self), *copy.deepcopy(self._parts()[1:], memo))
-
-    def _parts(self) -> tuple[Any, ...]:
-        settings = self.getSettings()
-        return type(self), copies.own_attributes(self, settings["arguments"]), *settings.values()
 
     def _arguments(self) -> dict[str, Any]:
         """Return the arguments that a copy needs in addition to the common arguments."""
@@ -385,9 +372,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
 
 
 replace_methods(ExactRigidBodyIntegrator)
+copied_by_openmm(ExactRigidBodyIntegrator)
 
 #: The default scheme at constant energy.
 DEFAULT = "W2_1"
-
-# Settings of OpenMM's integrators that have methods getX and setX.
-_SETTINGS = "IntegrationForceGroups", "ConstraintTolerance", "RandomNumberSeed"

@@ -16,6 +16,7 @@ from openmm_exactrb.context.group_motion import of_groups
 from openmm_exactrb.context.minimiser import OPENMM, VIOLATED
 from openmm_exactrb.context.solver import solvable
 from openmm_exactrb.context.timings import Timings
+from openmm_exactrb.errors import MinimisationError
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.minimise import minimised
 from openmm_exactrb.mechanics.state import BodyState, State
@@ -163,7 +164,7 @@ class BodyAccess:
             `bodies` and some molecules are constrained but not rigid.
         NonFiniteError
             If the energy or a force at the initial positions is not finite.
-        ArithmeticError
+        MinimisationError
             If OpenMM's minimiser violates or does not support the constraints.
 
         Warns
@@ -189,7 +190,7 @@ class BodyAccess:
                 sync.pull()
             except (ValueError, openmm.OpenMMException) as error:
                 sync.context.setPositions(start)
-                raise ArithmeticError(VIOLATED) from error
+                raise MinimisationError(VIOLATED) from error
             sync.push()
             return
         landscape = ContextForces(sync.positions, self.getIntegrationForceGroups(), self.timings).landscape

@@ -8,6 +8,7 @@ from typing import Any
 import openmm
 
 from openmm_exactrb.context.solver import satisfied, solvable
+from openmm_exactrb.errors import MinimisationError
 from openmm_exactrb.openmm_access import arrays
 
 #: The original method of OpenMM's minimiser, which `minimise_by_integrators` replaces.
@@ -39,7 +40,7 @@ def minimise_by_integrators(kind: type[Any]) -> None:
             OPENMM(context, tolerance, maxIterations, reporter)
             if not satisfied(system, arrays.positions(context.getState(positions=True))):
                 context.setPositions(start)
-                raise ArithmeticError(VIOLATED)
+                raise MinimisationError(VIOLATED)
             return
         if reporter is not None:
             raise ValueError(

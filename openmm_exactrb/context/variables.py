@@ -35,6 +35,11 @@ SEED, STREAM = "seed", "stream"
 #: The heat that thermostats have exchanged, and the numbers of accepted and of all proposals in the Metropolis test.
 HEAT, HEAT_OF_FRICTION, ACCEPTED, PROPOSED = "heat", "heat_of_friction", "accepted", "proposed"
 _NUMBERS = (SEED, STREAM, HEAT, HEAT_OF_FRICTION, ACCEPTED, PROPOSED, COORDINATES, REMEMBERED, DIFFERENCES)
+# Error of steps that OpenMM's C++ tries to perform.
+_NOT_BY_OPENMM = (
+    "OpenMM alone cannot perform the steps of this integrator of openmm_exactrb: import openmm_exactrb before reading "
+    "the integrator from XML, and do not add the integrator to a CompoundIntegrator"
+)
 #: Message about a checkpoint that another engine wrote.
 OTHER_ENGINE = (
     'the loaded checkpoint is from a run with engine="{0}": create the integrator with engine="{0}" or "auto"'
@@ -50,10 +55,10 @@ OTHER_FORMAT = (
 def declare(integrator: openmm.CustomIntegrator, own: Sequence[str] = (), memory: int | None = None) -> None:
     """Give a new integrator its variables, and the program with which OpenMM performs its own part of a step.
 
-    A copy that OpenMM creates, from XML or within a CompoundIntegrator, has no Python part. Its steps would advance the
-    clock without moving the bodies. Positions and velocities therefore become nan unless Python performs the step.
-    `own` lists the names of numbers that only some integrators have. For a processed scheme, which also has an inner
-    state, `memory` is the number of stored forces.
+    An integrator that OpenMM read without this package, or that is part of a CompoundIntegrator, has no Python part.
+    Its steps would advance the clock without moving the bodies. Therefore, the program raises an error unless Python
+    performs the step. `own` lists the names of numbers that only some integrators have. For a processed scheme, which
+    also has an inner state, `memory` is the number of stored forces.
     """
     stored = PREFIX + _STORED
     for name in _VECTORS:
@@ -62,10 +67,9 @@ def declare(integrator: openmm.CustomIntegrator, own: Sequence[str] = (), memory
         for name in (*(INNER + name for name in _VECTORS), *(name for k in range(memory) for name in _last(k))):
             integrator.addPerDofVariable(PREFIX + name, 0.0)
     integrator.addGlobalVariable(stored, NOTHING)
-    integrator.beginIfBlock(f"{stored} < {_STEPPING}")
-    integrator.addComputePerDof("x", f"x + log({stored} - 3)")
-    # Forces at nan positions raise an error on platforms that check positions. Reference does not check positions.
-    integrator.addComputePerDof("v", f"v + f + log({stored} - 3)")
+    integrator.beginIfBlock(f"{stored} != {_STEPPING}")
+    integrator.addComputePerDof(_NOT_BY_OPENMM, "0")  # not a variable: an error with this name on Reference and CPU
+    integrator.addComputeGlobal("dt", "-1")  # a negative step size: an error on the other platforms
     integrator.endBlock()
     integrator.addUpdateContextState()
     declare_numbers(integrator, own)
@@ -89,7 +93,7 @@ def marks(own: Sequence[str] = ()) -> tuple[float, float]:
 
 def declared(integrator: openmm.CustomIntegrator) -> bool:
     """Return whether an integrator has the variables of `declare`."""
-    return bool(integrator.getGlobalVariableName(0) == PREFIX + _STORED)
+    return bool(integrator.getNumGlobalVariables()) and integrator.getGlobalVariableName(0) == PREFIX + _STORED
 
 
 def device(own: Sequence[str]) -> float:

@@ -138,6 +138,8 @@ class Engine:
     propagator : callable
         propagator(context, integrator, settings, timings) -> Propagator; the call prepares the Context and the
         integrator.
+    prepare_to_read : callable, optional
+        prepare_to_read(xml) enables OpenMM to read XML with integrators of this engine.
     information : callable
         information() -> a sentence about the engine for ``exactrb info``.
     """
@@ -149,4 +151,5 @@ class Engine:
     marks: Callable[[Settings], tuple[float, ...]]
     declare: Callable[[openmm.CustomIntegrator, Settings], None]
     propagator: Callable[[Any, openmm.CustomIntegrator, Settings, Timings], Propagator]
+    prepare_to_read: Callable[[str], None] = lambda xml: None
     information: Callable[[], str] = lambda: "available"

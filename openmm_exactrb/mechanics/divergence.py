@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from openmm_exactrb.errors import IntegrationError, NonFiniteError
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.images import closest_pair
 from openmm_exactrb.mechanics.state import BodyState, State
@@ -39,14 +40,6 @@ ADVICE = (
 _SAMPLES, _LEFT_OUT = 100, 20
 # A warning requires a mean that is too high by this fraction plus this number of standard errors.
 _TOO_HOT, _ERRORS = 0.05, 4.0
-
-
-class IntegrationError(ArithmeticError):
-    """A run has diverged, usually because the step is too large or bodies overlap initially."""
-
-
-class NonFiniteError(IntegrationError):
-    """Positions, momenta or forces are not finite, or a body is faster than light."""
 
 
 class StepSizeWarning(UserWarning):

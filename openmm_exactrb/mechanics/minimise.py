@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from openmm_exactrb.errors import NonFiniteError
 from openmm_exactrb.mathematics.quaternions import exponential, multiply
 from openmm_exactrb.mechanics.bodies import RigidBodies
-from openmm_exactrb.mechanics.divergence import NonFiniteError
 from openmm_exactrb.mechanics.images import closest_pair
 from openmm_exactrb.mechanics.state import BodyState
 from openmm_exactrb.support.types import Array

@@ -33,6 +33,6 @@ class OwnProgram:
 for _name in (
     *("addComputeGlobal", "addComputePerDof", "addComputeSum", "addConstrainPositions", "addConstrainVelocities"),
     *("addGlobalVariable", "addPerDofVariable", "addTabulatedFunction", "addUpdateContextState"),
-    *("beginIfBlock", "beginWhileBlock", "endBlock"),
+    *("beginIfBlock", "beginWhileBlock", "endBlock", "setKineticEnergyExpression"),
 ):
     setattr(OwnProgram, _name, _closed(_name))

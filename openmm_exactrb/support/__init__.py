@@ -1,1 +1,1 @@
-"""Support functions that do not concern mechanics: checks of arguments, files, copies and the version."""
+"""Support functions that do not concern mechanics: checks of arguments, files and the version."""

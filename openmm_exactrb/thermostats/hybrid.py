@@ -16,7 +16,7 @@ from openmm import unit
 
 from openmm_exactrb.context import variables
 from openmm_exactrb.environment import Environment
-from openmm_exactrb.mechanics.divergence import IntegrationError
+from openmm_exactrb.errors import IntegrationError
 from openmm_exactrb.mechanics.rng import Instant, Purpose
 from openmm_exactrb.mechanics.state import Flow, State
 from openmm_exactrb.openmm_access.units import gas_constant_times

@@ -20,7 +20,7 @@ from openmm import unit
 
 from openmm_exactrb.context import variables
 from openmm_exactrb.environment import Environment
-from openmm_exactrb.mechanics.divergence import IntegrationError
+from openmm_exactrb.errors import IntegrationError
 from openmm_exactrb.mechanics.rng import Instant
 from openmm_exactrb.openmm_access.units import gas_constant_times, kelvin, plain
 from openmm_exactrb.rotors import Rotor

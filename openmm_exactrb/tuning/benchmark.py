@@ -15,8 +15,8 @@ import openmm
 from numpy.typing import NDArray
 
 from openmm_exactrb.context.timings import Timings
+from openmm_exactrb.errors import IntegrationError
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
-from openmm_exactrb.mechanics.divergence import IntegrationError
 from openmm_exactrb.schemes import CATALOGUE, Scheme
 from openmm_exactrb.schemes import scheme as look_up
 from openmm_exactrb.states import loadState

@@ -14,8 +14,8 @@ import openmm
 from openmm import app, unit
 
 from openmm_exactrb.context.updates import UPDATES
+from openmm_exactrb.errors import IntegrationError
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
-from openmm_exactrb.mechanics.divergence import IntegrationError
 from openmm_exactrb.openmm_access.platforms import mixed, platform_of
 from openmm_exactrb.openmm_access.units import gas_constant_times, stripped
 from openmm_exactrb.states import loadState

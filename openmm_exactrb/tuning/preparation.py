@@ -14,9 +14,9 @@ from typing import NamedTuple
 import numpy as np
 import openmm
 
+from openmm_exactrb.errors import IntegrationError, MinimisationError, NonFiniteError
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.mechanics.bodies import RigidBodies
-from openmm_exactrb.mechanics.divergence import IntegrationError, NonFiniteError
 from openmm_exactrb.mechanics.minimise import MinimisationWarning
 from openmm_exactrb.thermostats import ExactRigidBodyLangevinIntegrator
 
@@ -94,12 +94,8 @@ def minimise(integrator: ExactRigidBodyIntegrator) -> None:
     """Remove overlaps in the initial state; the first short steps of `heat` remove any that remain."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", MinimisationWarning)
-        try:
+        with contextlib.suppress(MinimisationError):  # of molecules that are constrained but not rigid
             integrator.minimizeEnergy(_TOLERANCE, _ITERATIONS)
-        except IntegrationError:
-            raise
-        except ArithmeticError:  # OpenMM's minimiser, used for molecules that are constrained but not rigid
-            pass
 
 
 def heat(

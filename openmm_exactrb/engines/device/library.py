@@ -26,12 +26,16 @@ import numpy as np
 import openmm
 from numpy.typing import NDArray
 
+from openmm_exactrb.errors import MissingLibraryError
+
 _log = logging.getLogger("openmm_exactrb")
 
 #: The C++ source of the library.
 SOURCE = Path(__file__).with_name("program_integrator.cpp")
 #: The library that a wheel contains.
 BUNDLED = SOURCE.with_suffix(".so")
+#: The type of the library's integrators in XML.
+TYPE = "ProgramIntegrator"
 #: The environment variable that names a compiler, and the commands that are tried if it names none.
 COMPILER = "CXX"
 _COMPILERS = ("c++", "g++", "clang++")
@@ -41,10 +45,6 @@ _FLAGS = ("-std=c++17", "-O2", "-fPIC", "-shared", "-fvisibility=hidden")
 # Some compilers link the C++ library statically. Its symbols must not be mixed with those of OpenMM's C++ library.
 _LINKER_FLAGS = {"Linux": ("-Wl,--exclude-libs,ALL",)}
 _SYSTEMS = ("Linux", "Darwin")
-
-
-class MissingLibraryError(RuntimeError):
-    """Raised if the library is not available; the message states the reason and the remedy."""
 
 
 class Library:
@@ -73,7 +73,7 @@ class Library:
 
     def make(self) -> Any:
         """Return a new integrator without a program; in Python it is an openmm.CustomIntegrator."""
-        return openmm.XmlSerializer.deserialize('<Integrator type="ProgramIntegrator" version="1" stepSize="0"/>')
+        return openmm.XmlSerializer.deserialize(f'<Integrator type="{TYPE}" version="1" stepSize="0"/>')
 
     def owns(self, integrator: Any) -> bool:
         """Return whether this library created an integrator."""

@@ -499,10 +499,10 @@ void ProgramIntegrator::carryOut(const string& name) {
 }
 
 void ProgramIntegrator::step(int steps) {
-    if (program.empty())
+    if (program.empty() && getNumComputations() > 0)
         CustomIntegrator::step(steps);
     else
-        throw error("OpenMM read this integrator from a file and cannot perform its steps: create the integrator with openmm_exactrb again");
+        throw error("OpenMM alone cannot perform the steps of this integrator of openmm_exactrb: import openmm_exactrb before reading the integrator from XML, and do not add the integrator to a CompoundIntegrator");
 }
 
 // Perform steps with these sequences of the program. "forces" evaluates the forces that "open" needs, unless they are
@@ -771,6 +771,7 @@ public:
         node.setDoubleProperty("constraintTolerance", integrator.getConstraintTolerance());
         node.setIntProperty("forceGroups", integrator.getIntegrationForceGroups());
         node.setIntProperty("randomSeed", integrator.getRandomNumberSeed());
+        node.setStringProperty("kineticEnergyExpression", integrator.getKineticEnergyExpression());
         for (int i = 0; i < integrator.getNumGlobalVariables(); i++)
             node.createChildNode("Global").setStringProperty("name", integrator.getGlobalVariableName(i)).setDoubleProperty("value", integrator.getGlobalVariable(i));
         node.setStringProperty("program", hex(integrator.program)).setStringProperty("data", integrator.savedText(true));
@@ -780,6 +781,7 @@ public:
         integrator->setConstraintTolerance(node.getDoubleProperty("constraintTolerance", 1e-5));
         integrator->setIntegrationForceGroups(node.getIntProperty("forceGroups", -1));
         integrator->setRandomNumberSeed(node.getIntProperty("randomSeed", 0));
+        integrator->setKineticEnergyExpression(node.getStringProperty("kineticEnergyExpression", integrator->getKineticEnergyExpression()));
         for (const SerializationNode& child : node.getChildren())
             integrator->addGlobalVariable(child.getStringProperty("name"), child.getDoubleProperty("value"));
         integrator->setProgram(unhex(node.getStringProperty("program", "")));

@@ -20,7 +20,8 @@ from openmm_exactrb.engines.device.flexible.part import Flexible
 from openmm_exactrb.engines.device.library import Device, library
 from openmm_exactrb.engines.device.state import DeviceState
 from openmm_exactrb.engines.host.propagator import inner_mark
-from openmm_exactrb.mechanics.divergence import ADVICE, GROWN, IntegrationError, NonFiniteError, gained, lost
+from openmm_exactrb.errors import IntegrationError, NonFiniteError
+from openmm_exactrb.mechanics.divergence import ADVICE, GROWN, gained, lost
 from openmm_exactrb.mechanics.free_motion import free_motion
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.openmm_access import arrays, platforms

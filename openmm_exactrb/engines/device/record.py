@@ -10,9 +10,10 @@ import openmm
 from openmm_exactrb.context import variables
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.engines.device.flexible.molecules import NotServedError, found, served
-from openmm_exactrb.engines.device.library import MissingLibraryError, describe, library
+from openmm_exactrb.engines.device.library import TYPE, describe, library
 from openmm_exactrb.engines.device.propagator import DevicePropagator
 from openmm_exactrb.engines.engine import Engine, Propagator, Settings
+from openmm_exactrb.errors import MissingLibraryError
 from openmm_exactrb.moves import Op, of_substep
 from openmm_exactrb.openmm_access import platforms
 from openmm_exactrb.openmm_access.rebind import rebind
@@ -124,6 +125,11 @@ def _propagator(context: Any, integrator: openmm.CustomIntegrator, settings: Set
     return DevicePropagator(context, integrator, settings, timings)
 
 
+def _prepare_to_read(xml: str) -> None:
+    if f'type="{TYPE}"' in xml:
+        library()
+
+
 #: The record of the device engine.
 DEVICE = Engine(
     name="device",
@@ -133,5 +139,6 @@ DEVICE = Engine(
     marks=_marks,
     declare=_declare,
     propagator=_propagator,
+    prepare_to_read=_prepare_to_read,
     information=describe,
 )

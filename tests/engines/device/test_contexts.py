@@ -13,7 +13,7 @@ from zoo import apart, context_of, held, pair, water
 import openmm_exactrb as rb
 from on_device import REFERENCE
 from openmm_exactrb.engines.device.library import Device, library
-from openmm_exactrb.mechanics.divergence import IntegrationError, NonFiniteError
+from openmm_exactrb.errors import IntegrationError, NonFiniteError
 from openmm_exactrb.openmm_access import platforms
 from openmm_exactrb.thermostats.hybrid import ExactRigidBodyHybridIntegrator
 

@@ -12,7 +12,8 @@ import pytest
 
 from on_device import device_platform
 from openmm_exactrb.engines.device import library as module
-from openmm_exactrb.engines.device.library import Device, MissingLibraryError, library
+from openmm_exactrb.engines.device.library import Device, library
+from openmm_exactrb.errors import MissingLibraryError
 
 ROOT = Path(__file__).parents[3]
 needs_compiler = pytest.mark.skipif(module.shutil.which("c++") is None, reason="needs a C++ compiler")
