@@ -12,7 +12,7 @@ import copy
 import json
 import secrets
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -59,9 +59,9 @@ class Copied:
         if self._own and name not in self._own:
             self._describe()
 
-    def _complete(self) -> None:
-        """Store the settings of a new integrator; all attributes from now on are a user's."""
-        self._own = frozenset((*vars(self), "_own"))
+    def _complete(self, before: Collection[str]) -> None:
+        """Store the settings of a new integrator; the attributes `before`, and all from now on, are a user's."""
+        self._own = frozenset((*vars(self), "_own")).difference(before)
         self._describe()
 
     def _describe(self) -> None:
@@ -121,17 +121,17 @@ def copied_by_openmm(kind: type[Any]) -> None:
 
 def _read(text: str, face: openmm.CustomIntegrator, kind: type[Any]) -> Any:
     """Return a new integrator with the settings in a text, and those that OpenMM stores itself."""
-    content = json.loads(text)
     known = {_name(derived): derived for derived in _classes(kind)}
-    if content["class"] not in known:
-        raise ValueError(
-            f"the class {content['class']} of this integrator does not exist in this process: import its module, and "
-            "then read the integrator again"
-        )
     settings = {name: getattr(face, f"get{name}")() for name in SETTINGS}
     try:
+        content = json.loads(text)
+        if (name := content["class"]) not in known:
+            raise ValueError(
+                f"the class {name} of this integrator does not exist in this process: import its module, and then "
+                "read the integrator again"
+            )
         arguments, attributes = (_each(_decoded, content[part]) for part in ("arguments", "attributes"))
-        return restored(known[content["class"]], attributes, {"stepSize": face.getStepSize(), **arguments}, settings)
+        return restored(known[name], attributes, {"stepSize": face.getStepSize(), **arguments}, settings)
     except (KeyError, TypeError) as error:
         raise ValueError(
             f"another version of openmm_exactrb wrote this integrator, with settings that are unknown here ({error}): "

@@ -109,6 +109,7 @@ class ExactRigidBodyIntegrator(Copied, OwnProgram, openmm.CustomIntegrator, Body
         checkDivergence: bool = True,
         constraints: Sequence[Constrain] = (),
     ) -> None:
+        of_subclass = frozenset(vars(self))
         check_first_arguments(stepSize, scheme)
         if thermostat is not None and not isinstance(thermostat, Thermostat):
             raise ValueError(
@@ -133,7 +134,7 @@ class ExactRigidBodyIntegrator(Copied, OwnProgram, openmm.CustomIntegrator, Body
         self._propagator: Propagator | None = None
         self._at_work = threading.Lock()  # held while `step` runs
         self._made = True
-        self._complete()
+        self._complete(of_subclass)
 
     # -- settings -------------------------------------------------------------------------------------------------
 

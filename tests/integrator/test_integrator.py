@@ -240,11 +240,6 @@ def test_a_subclass_with_arguments_of_its_own_can_be_copied(twin_of):
     assert again.getStepCount() == 1
 
 
-def test_openmm_makes_a_plain_custom_integrator_of_the_xml_of_a_subclass():
-    text = openmm.XmlSerializer.serialize(OfWater("water"))
-    assert type(openmm.XmlSerializer.deserialize(text)) is openmm.CustomIntegrator
-
-
 @pytest.mark.parametrize("engine", ["host", "device"])
 def test_particles_that_were_set_to_the_origin_have_positions(engine):
     system = openmm.System()

@@ -1,6 +1,7 @@
 """Divergence: what counts as energy from nowhere, and what a run that makes sense may do."""
 
 import numpy as np
+import openmm
 import pytest
 
 import openmm_exactrb as rb
@@ -40,3 +41,4 @@ def test_an_energy_that_is_not_finite_is_divergence(bad):
 def test_numbers_that_are_not_finite_are_one_kind_of_divergence():
     assert issubclass(rb.NonFiniteError, rb.IntegrationError)
     assert issubclass(rb.IntegrationError, ArithmeticError)
+    assert issubclass(rb.IntegrationError, openmm.OpenMMException)

@@ -10,7 +10,6 @@ import pytest
 from openmm import app, unit
 
 import openmm_exactrb as rb
-import starts
 from chains import nose_hoover
 from openmm_exactrb.context.updates import ContextUpdates, acting_updates
 from openmm_exactrb.schemes import Scheme, spelled
@@ -123,14 +122,6 @@ def test_copies_have_all_settings(name, copied):
     assert twin.getSettings() == integrator.getSettings()
     assert twin.getSeedInUse() == integrator.getSeedInUse() == 7
     assert type(twin)(**twin.getSettings()["arguments"]).getThermostat() == integrator.getThermostat()
-
-
-def test_a_copy_by_openmm_moves_nothing():
-    integrator = openmm.XmlSerializer.deserialize(openmm.XmlSerializer.serialize(langevin()))
-    system, places = molecules(waters=1)
-    context = starts.context_of(system, integrator, places)
-    integrator.step(1)
-    assert np.isnan(context.getState(positions=True).getPositions(asNumpy=True)._value).all()
 
 
 def test_a_second_thermostat_is_refused():
