@@ -162,7 +162,8 @@ def _coded(value: Any) -> Any:
         return {"scheme": value.name}
     if isinstance(value, Thermostat) and _is_ours(type(value)):
         return {"thermostat": [_name(type(value)), _each(_coded, value.settings())]}
-    return {"object": [_key(value), f"{type(value).__name__} {getattr(value, 'name', '')}".strip()]}
+    name = getattr(value, "name", None) or getattr(value, "__name__", "")
+    return {"object": [_key(value), f"{type(value).__name__} {name}".strip()]}
 
 
 def _decoded(value: Any) -> Any:

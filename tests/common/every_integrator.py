@@ -17,6 +17,13 @@ THERMOSTATS = [
     NoseHooverChain(300.0, 20.0, 4),
     HybridMonteCarlo(300.0, 1.0, stepsPerProposal=2),
 ]
+
+
+def unconstrained(free, bodies):
+    """Return the free motion: a type of constraint that constrains nothing."""
+    return free
+
+
 # Other values of the arguments that all classes have.
 _COMMON = {
     "stepSize": [0.003],
@@ -29,6 +36,7 @@ _COMMON = {
     "engine": ["host"],
     "forceInterval": [0.0035],
     "checkDivergence": [False],
+    "constraints": [(unconstrained,)],
 }
 _TEMPERATURES = {"temperature": [310.0]}
 _FRICTIONS = {"frictionCoeff": [0.1 + 0.2], "rotationalFriction": [1.0, 3.0], "flexibleFriction": [1.0, 4.0]}

@@ -11,7 +11,7 @@ import pytest
 from openmm import app
 
 import openmm_exactrb as rb
-from every_integrator import KINDS, MOVING, WATER, WAYS, begun, ends, every, made, others, seeded
+from every_integrator import KINDS, MOVING, WATER, WAYS, begun, ends, every, made, others, seeded, unconstrained
 from on_device import REFERENCE, platform_for
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.thermostats import Langevin
@@ -157,6 +157,7 @@ OWN = {
     "inner": lambda: made(inner=replace(OWN_SCHEME), innerSteps=4),
     "rotor": lambda: made(rotor=Rotor("slow", None, rb.ROTORS["exact"].factory, "me")),
     "thermostat": lambda: made(thermostat=Warmer(300.0, 1.0)),
+    "constraints": lambda: made(constraints=[unconstrained]),
     "attribute": lambda: Labelled(np.float64, 0.0),
 }
 

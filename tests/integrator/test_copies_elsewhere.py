@@ -66,10 +66,10 @@ def written(folder, integrators):
 
 
 def test_a_new_process_reads_the_same_settings(tmp_path):
-    integrators = dict(enumerate([*every(), *map(made, KINDS)]))
-    for integrator, line in zip(
-        integrators.values(), run(READ, *written(tmp_path, integrators)).splitlines(), strict=True
-    ):
+    with_text = [one for one in every() if not one.getSettings()["arguments"]["constraints"]]
+    integrators = dict(enumerate([*with_text, *map(made, KINDS)]))
+    lines = run(READ, *written(tmp_path, integrators)).splitlines()
+    for integrator, line in zip(integrators.values(), lines, strict=True):
         assert line == f"{type(integrator).__name__} {integrator.getSettings()}"
 
 
@@ -88,6 +88,7 @@ def test_a_new_process_refuses_what_only_this_one_has(tmp_path):
         "inner": "Scheme mine",
         "rotor": "Rotor slow",
         "thermostat": "Warmer",
+        "constraints": "function unconstrained",
     }.items():
         assert lines[name] == (
             f"ValueError this integrator has your own {what}, which only the process that wrote the integrator can "
