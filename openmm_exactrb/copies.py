@@ -8,9 +8,12 @@ of users are looked up among those that exist.
 
 from __future__ import annotations
 
+import contextlib
 import copy
+import dataclasses
 import json
 import secrets
+import weakref
 from abc import abstractmethod
 from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Any
@@ -56,7 +59,7 @@ class Copied:
     def __setattr__(self, name: str, value: Any) -> None:
         """Set an attribute; those of a user's subclass are part of the stored text."""
         super().__setattr__(name, value)
-        if self._own and name not in self._own:
+        if self._own and name not in self._own and name in vars(self):
             self._describe()
 
     def _complete(self, before: Collection[str]) -> None:
@@ -72,8 +75,10 @@ class Copied:
         settings_text.write(self, json.dumps(content, sort_keys=True, separators=(",", ":")))
 
     def _parts(self) -> tuple[Any, ...]:
-        attributes = {name: value for name, value in vars(self).items() if name not in self._own}
-        return type(self), attributes, *self.getSettings().values()
+        return type(self), self._attributes(), *self.getSettings().values()
+
+    def _attributes(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name not in self._own}
 
 
 def restored(kind: Any, attributes: dict[str, Any], arguments: dict[str, Any], settings: dict[str, Any]) -> Any:
@@ -142,8 +147,8 @@ def _read(text: str, face: openmm.CustomIntegrator, kind: type[Any]) -> Any:
 # -- values as JSON ---------------------------------------------------------------------------------------------------
 
 
-# Objects that have no text, by the key that represents them in text.
-_objects: dict[str, Any] = {}
+# Functions that return objects without a text, by the key that represents the object in text.
+_objects: dict[str, Callable[[], Any]] = {}
 
 
 def _coded(value: Any) -> Any:
@@ -193,11 +198,11 @@ def _thermostat(content: Any) -> Thermostat:
 
 def _object(content: Any) -> Any:
     key, name = content
-    if key not in _objects:
+    if (value := _objects.get(key, _nothing)()) is None:
         raise ValueError(
             f"this integrator has your own {name}, which only the process that wrote the integrator can copy: {_AGAIN}"
         )
-    return _objects[key]
+    return value
 
 
 _DECODERS: Mapping[str, Callable[[Any], Any]] = {
@@ -219,12 +224,24 @@ def _listed(scheme: Scheme) -> bool:
 
 def _key(value: Any) -> str:
     """Return the key of an object; equal objects have the same key, so that equal integrators have equal text."""
-    for key, known in _objects.items():
-        if value is known or _equal(value, known):
+    for key, held in _objects.items():
+        if value is (known := held()) or _equal(value, known):
             return key
     key = secrets.token_hex(8)  # of this process alone, even after a fork
-    _objects[key] = value
+    _objects[key] = _held(value)
     return key
+
+
+def _held(value: Any) -> Callable[[], Any]:
+    """Return a function that returns an object; it keeps values such as schemes alive, but not a user's Context."""
+    if not (dataclasses.is_dataclass(value) or callable(value)):
+        with contextlib.suppress(TypeError):  # an object to which no weak reference is possible, such as a set
+            return weakref.ref(value)
+    return lambda: value
+
+
+def _nothing() -> None:
+    pass
 
 
 def _equal(one: Any, other: Any) -> bool:

@@ -69,7 +69,7 @@ def _described(name_of: Callable[[Any], str], value: Any) -> Any:
         return {"quantity": [value._value, str(value.unit)]}
     if isinstance(value, os.PathLike):
         return {"path": [os.fspath(value), digest_of_file(value)]}
-    if isinstance(value, openmm.Integrator) and hasattr(value, "getSettings"):  # the XML lacks scheme and friction
+    if isinstance(value, openmm.Integrator) and hasattr(value, "getSettings"):  # the XML also contains the state
         return {qualified_name(type(value)): value.getSettings()}
     if isinstance(value, _SERIALISABLE):
         return {"openmm": digest(openmm.XmlSerializer.serialize(value).encode())}

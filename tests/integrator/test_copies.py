@@ -1,8 +1,10 @@
 """Copies of integrators, by Python and by OpenMM, within a process."""
 
 import copy
+import gc
 import inspect
 import itertools
+import weakref
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -185,6 +187,26 @@ def test_attributes_of_a_user_are_copied_as_they_were_last_set(value, way):
     twin = WAYS[way](integrator)
     assert (type(twin), twin.label, type(twin.label), twin.offset) == (Labelled, value, type(value), value)
     assert set(vars(twin)) == set(vars(integrator))
+
+
+@pytest.mark.parametrize("value", [{1, 2}, 1j, np.arange(3.0), np.float64(0.1), Langevin(300.0, 1.0)], ids=repr)
+def test_attributes_of_a_user_that_have_no_text_are_copied_within_the_process(value):
+    integrator = Labelled(value, 0)
+    twin = openmm.XmlSerializer.clone(integrator)
+    assert np.array_equal(twin.label, value)
+    assert openmm.XmlSerializer.serialize(twin) == openmm.XmlSerializer.serialize(integrator)
+
+
+def test_text_does_not_keep_a_context_alive():
+    integrator = Labelled("a", 0)
+    integrator.label = context_of(WATER[0], made(), WATER[1])
+    text, reference = openmm.XmlSerializer.serialize(integrator), weakref.ref(integrator.label)
+    assert openmm.XmlSerializer.deserialize(text).label is integrator.label
+    integrator.label = None
+    gc.collect()
+    assert reference() is None
+    with pytest.raises(ValueError, match="this integrator has your own Context, which only the process"):
+        openmm.XmlSerializer.deserialize(text)
 
 
 # -- the key of a cache -----------------------------------------------------------------------------------------------
