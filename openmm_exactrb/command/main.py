@@ -46,11 +46,14 @@ def _warning_of(command: str) -> Callable[..., None]:
 def _status(args: argparse.Namespace) -> int:
     """Execute a command and return its exit status; print an error as one line on stderr."""
     try:
-        return int(_COMMANDS[args.command].carry_out(args))
+        status = int(_COMMANDS[args.command].carry_out(args))
+        sys.stdout.flush()
+        return status
     except BrokenPipeError:  # the program that reads the output, such as head, has ended
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _end_output()
         return _NOBODY_READS
     except _ERRORS as error:
+        _end_output()
         print(f"exactrb {args.command}: {_told(error)}", file=sys.stderr)
         return 2
     except (KeyboardInterrupt, SystemError) as error:
@@ -60,6 +63,14 @@ def _status(args: argparse.Namespace) -> int:
         begin = "\n" if sys.stderr.isatty() else ""  # ends the line that shows ^C or a progress bar
         print(f"{begin}exactrb {args.command}: SIGINT: stopped{again}", file=sys.stderr)
         return 128 + signal.SIGINT
+
+
+def _end_output() -> None:
+    """Write the rest of the output, or discard it if this is impossible, so that Python does not fail at its exit."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _told(error: Exception) -> str:

@@ -4,12 +4,15 @@ import os
 import subprocess
 import sys
 
+import compilation
+
 COMMAND = [sys.executable, "-m", "openmm_exactrb.command.main"]
 ENVIRONMENT = os.environ | {"OPENMM_CPU_THREADS": "1"}
 
 
 def launch(*arguments):
-    """Start the command."""
+    """Start the command, which finds its kernels compiled: else it would say that it compiles them."""
+    compilation.of_bodies()
     words = [*COMMAND, *map(str, arguments)]
     return subprocess.Popen(words, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 

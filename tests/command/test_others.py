@@ -1,8 +1,10 @@
 """``exactrb info`` and ``exactrb tune``, and what entries of the catalogues say of themselves."""
 
+import os
 import subprocess
 import sys
 import warnings
+from pathlib import Path
 
 import openmm
 import pytest
@@ -12,6 +14,7 @@ from openmm_exactrb.command import info
 from openmm_exactrb.command.main import main
 
 INTEGRATORS = [name for name in rb.__all__ if name.endswith("Integrator")]
+FULL = Path("/dev/full")
 BRIEF = ["--schemes", "V2", "--platform", "Reference", "--duration", "0.05", "--target", "1e-12"]
 
 
@@ -24,14 +27,30 @@ def test_info_names_what_there_is(capsys):
     assert len(said.splitlines()) < 25
 
 
-def test_who_reads_the_first_lines_alone_sees_no_error():
-    command = [sys.executable, "-u", "-m", "openmm_exactrb.command.main", "info"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stdout.readline()
-        process.stdout.close()
-        errors = process.stderr.read()
-    assert process.returncode == 141
-    assert "Broken pipe" not in errors
+@pytest.mark.parametrize("options", [[], ["-u"]], ids=["at the end", "line by line"])
+def test_who_reads_no_further_sees_no_error(options):
+    """As head does not. The pipe is closed before the first line, so that it is none of time."""
+    read, write = os.pipe()
+    os.close(read)
+    done = said_by(options, write)
+    os.close(write)
+    assert (done.returncode, done.stderr) == (141, "")
+
+
+@pytest.mark.skipif(not FULL.exists(), reason="a device of Linux")
+@pytest.mark.parametrize("options", [[], ["-u"]], ids=["at the end", "line by line"])
+def test_output_that_cannot_be_written_is_one_line(options):
+    with FULL.open("w") as full:
+        done = said_by(options, full)
+    assert done.returncode == 2
+    assert done.stderr == "exactrb info: [Errno 28] No space left on device\n"
+
+
+def said_by(options, out):
+    """Let a process write what is installed, and return its status and its errors."""
+    command = [sys.executable, *options, "-m", "openmm_exactrb.command.main", "info"]
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    return subprocess.run(command, stdout=out, stderr=subprocess.PIPE, text=True, env=environment, check=False)
 
 
 def test_a_target_out_of_reach_has_a_status_of_its_own(serialised, capsys):

@@ -77,17 +77,23 @@ def test_an_interval_of_forces_is_a_step(serialised, tmp_path, capsys):
 
 
 def test_a_run_that_was_killed_ends_in_the_same_bytes(serialised, tmp_path, capsys):
+    """The run is longer than any test: what it has reached when it is killed depends on how busy the machine is."""
     once, killed = tmp_path / "once", tmp_path / "killed"
     command = "run", *serialised, *SHORT, "--checkpoint", 0, "--no-picture", "--out"
-    assert carry_out(capsys, *command, once, "--duration", "0.4")[0] == 0
-    process = launch(*command, killed, "--duration", "0.4")
+    process = launch(*command, killed, "--duration", "1000")
     energies = killed / "energies.csv"
-    while process.poll() is None and not (energies.exists() and energies.read_text(encoding="utf-8").count("\n") > 8):
+
+    def lines():
+        return energies.read_text(encoding="utf-8").count("\n") if energies.exists() else 0
+
+    while process.poll() is None and lines() <= 8:
         time.sleep(0.01)
     process.kill()
     process.communicate()
-    assert energies.read_text(encoding="utf-8").count("\n") < 102, "it was killed too late"
-    status, _, errors = carry_out(capsys, *command, killed, "--duration", "0.4", "--resume")
+    assert lines() > 8
+    end = f"{4 * (lines() + 20)}fs"
+    assert carry_out(capsys, *command, once, "--duration", end)[0] == 0
+    status, _, errors = carry_out(capsys, *command, killed, "--duration", end, "--resume")
     assert (status, errors) == (0, "")
     assert energies.read_bytes() == (once / "energies.csv").read_bytes()
     top = str(once / "topology.pdb")

@@ -10,7 +10,7 @@ def of_bodies():
     """Compile what moves rigid bodies, and flexible molecules in inner steps."""
     from openmm_exactrb import kernels
 
-    for name in ("bodies", "exact", "clusters", "bonded", "inner_steps"):
+    for name in ("bodies", "exact", "clusters", "bonded", "inner_steps", "parameters", "random"):
         kernels.load(name)
 
 

@@ -1,5 +1,6 @@
 """Functions of jobs, which worker processes import by name."""
 
+import contextlib
 import functools
 import os
 import time
@@ -89,6 +90,12 @@ def unkeepable():
     return {"object": object()}
 
 
-def slow(x):
-    time.sleep(0.5)
+def gated(folder, x):
+    """Return x at once in the first three jobs that come; in others, wait until a file opens the gate."""
+    for place in "123":
+        with contextlib.suppress(FileExistsError):
+            (Path(folder) / place).touch(exist_ok=False)
+            return x
+    while not (Path(folder) / "open").exists():
+        time.sleep(0.02)
     return x

@@ -196,7 +196,7 @@ def test_a_second_thread_is_refused_within_a_step_and_the_first_one_loses_nothin
 
     def slow(state):
         within.set()
-        asked.wait(10.0)
+        asked.wait(600.0)
         return 0.0, np.zeros((state.getPositions(asNumpy=True).shape[0], 3))
 
     simulation = simulation_of(2)
@@ -204,7 +204,7 @@ def test_a_second_thread_is_refused_within_a_step_and_the_first_one_loses_nothin
     simulation.context.reinitialize(preserveState=True)
     thread = threading.Thread(target=simulation.integrator.step, args=(3,))
     thread.start()
-    within.wait(10.0)
+    within.wait(600.0)
     with pytest.raises(RuntimeError, match=r"already performing a step, .* give each thread its own integrator"):
         ask(simulation.integrator)
     asked.set()

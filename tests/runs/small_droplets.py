@@ -10,7 +10,21 @@ from starts import simulation_of
 
 #: Of the droplet in another process: reports do not fall on the chunks of ten steps.
 STEPS, INTERVAL = 1400, 7
-COMMAND = "dipole_fluid.py", "-n", 4, "--scheme", "V2", "--step", 0.005, "--duration", 7, "--frames", 200
+
+
+def command(steps=STEPS):
+    """Return the script and the options of a run of the droplet, up to a multiple of the interval of its reports."""
+    length = "--duration", 0.005 * steps, "--frames", steps // INTERVAL
+    return "dipole_fluid.py", "-n", 4, "--scheme", "V2", "--step", 0.005, *length
+
+
+#: The droplet for longer than any test lasts, so that its process is never over before it is killed.
+ENDLESS = command(INTERVAL * 10**6)
+
+
+def beyond(folder):
+    """Return a number of steps beyond all that a run of the droplet in another process has written."""
+    return INTERVAL * ((folder / "energies.csv").read_bytes().count(b"\n") + 20)
 
 
 def droplet(n=4, scheme="V2", h=0.005, trap=0.5, rotor="exact", platform="Reference", groups=None):
@@ -49,11 +63,11 @@ def same_bytes(folder, other):
     assert pdb[0] == pdb[1]
 
 
-def check_joined(folder, whole):
+def check_joined(folder, whole, end=STEPS):
     """No frame and no line is lost or doubled, and every bit is that of the uninterrupted run."""
     same_bytes(folder, whole)
     steps = np.loadtxt(folder / "energies.csv", delimiter=",", skiprows=1)[:, 0]
-    np.testing.assert_array_equal(steps, np.arange(0, STEPS + 1, INTERVAL))
+    np.testing.assert_array_equal(steps, np.arange(0, end + 1, INTERVAL))
     trajectory = mdtraj.load(str(folder / "trajectory.dcd"), top=str(folder / "topology.pdb"))
     assert len(trajectory) == len(steps)
     assert not list(folder.glob("*.part"))

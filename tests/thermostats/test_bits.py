@@ -146,7 +146,7 @@ def test_a_new_process_continues_with_the_same_bits(tmp_path):
     file.write_bytes(pickle.dumps(contents))
     here = Path(__file__).parent
     arguments = [sys.executable, "-c", GO_ON, str(here), str(here.parent / "common"), str(file)]
-    done = subprocess.run(arguments, capture_output=True, text=True, timeout=100, check=False)
+    done = subprocess.run(arguments, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines() == expected
 

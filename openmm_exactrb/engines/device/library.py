@@ -272,8 +272,7 @@ def build(path: Path, command: str | None = None) -> None:
 
 def private_folder() -> Path:
     """Return the user's folder for compiled libraries; raise MissingLibraryError if other users have access to it."""
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    folder = Path(os.environ.get(CACHE) or home / "openmm-exactrb")
+    folder = _folder()
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError as error:
@@ -283,6 +282,18 @@ def private_folder() -> Path:
         ) from error
     _check_owner(folder)
     return folder
+
+
+def _folder() -> Path:
+    """Return the folder that the environment names, or the default; raise MissingLibraryError without a home folder."""
+    if named := os.environ.get(CACHE):
+        return Path(named)
+    try:
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "openmm-exactrb")
+    except RuntimeError as error:  # neither HOME nor an entry of the user, as in some containers
+        raise MissingLibraryError(
+            f"the user has no home folder for the compiled library: set the environment variable {CACHE} to a folder"
+        ) from error
 
 
 def _check_owner(path: Path) -> None:
