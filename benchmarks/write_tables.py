@@ -58,9 +58,10 @@ def all_tables() -> dict[str, str]:
     functions = (
         *(tables.default_energies, tables.default_stability, tables.default_temperatures, tables.one_line),
         *(tables.protein_steps, tables.protein_limits, tables.villin_steps, tables.heating, tables.populations),
+        tables.equal_protein_costs,
         *(tables.outputs, tables.validation, tables.ensembles, tables.earlier_schemes, tables.scheme_table),
         *(tables.protein_energies, of_water.box_energies, of_water.droplet_energies),
-        *(of_water.energy_balances, of_water.reading_points, of_water.shadow_predictions),
+        *(of_water.energy_balances, of_water.reading_points, of_water.equal_costs, of_water.shadow_predictions),
         *(of_water.settings_of_forces, of_proteins.peptide_errors),
         *(of_schemes.roundoff_errors, of_schemes.heat_exchanges, of_schemes.small_potentials, small_molecules),
         *(of_schemes.droplets_of_models, of_schemes.droplet_growth, of_schemes.oscillator_errors),

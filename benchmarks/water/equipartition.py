@@ -294,15 +294,19 @@ def draw(drawn: list[Point], file: Path) -> None:
 
 
 def draw_difference(drawn: list[Point], file: Path) -> None:
-    """Draw what a user of OpenMM sees: the difference of the temperatures of SPC/E, as a Context reports it."""
+    """Draw the difference of the temperatures of SPC/E, of OpenMM as a Context reports it and after projection."""
     figure, axes = plt.subplots(figsize=(6.4, 4.0), layout="constrained")
-    for method, name, colour, marker in (
-        (LFM, "LangevinMiddleIntegrator", "#D55E00", "o"),
-        ("W2_3m", "ExactRigidBodyLangevinIntegrator, W2_3m", "#0072B2", "D"),
+    reported, projected = "T_rot - T_tr", "other T_rot - T_tr"
+    for method, quantity, name, style in (
+        (LFM, reported, "LangevinMiddleIntegrator, as reported", f"{LFM}, as reported"),
+        (LFM, projected, "LangevinMiddleIntegrator, projected on the constraints", f"{LFM}, constrained"),
+        ("W2_3m", reported, "ExactRigidBodyLangevinIntegrator, W2_3m", "W2_3m"),
+        ("W2_4g", reported, "ExactRigidBodyLangevinIntegrator, W2_4g", "W2_4g"),
     ):
         of_method = [point for point in drawn if (*point[:3], point.friction) == ("spce", "NVT", method, FRICTION)]
-        rows = sorted((point.interval, *point.found["T_rot - T_tr"]) for point in of_method)
+        rows = sorted((point.interval, *point.found[quantity]) for point in of_method if quantity in point.found)
         if rows:
+            colour, marker = STYLES[style]
             axes.errorbar(*np.array(rows).T, color=colour, marker=marker, capsize=3, label=name)
     axes.axhline(0.0, color="0.6", lw=1.0)
     axes.set(xlabel="time per force evaluation (fs)", ylabel="T of rotation − T of translation (K)")

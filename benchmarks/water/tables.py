@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -113,6 +114,25 @@ def reading_points() -> str:
             above.append(with_error(*less((ours[0] - change, math.hypot(ours[1], error)), reference), 2))
         body += [(f"{NAMES[model]}, lower by", *lower), (f"{NAMES[model]}, above the reference", *above)]
     return table(("potential energy, kJ/mol per molecule", "2 fs", "4 fs", "6 fs"), body)
+
+
+def equal_costs() -> str:
+    """Return what integrators give with a force evaluation every 4 fs, W2_3m where its steps end, and a reference."""
+    record, body = whole(read(RECORD)), []
+    lower = {row["model"]: -float(row["U_less"]) for row in rows("reading_point") if float(row["fs"]) == 4.0}
+    openmm = "`LangevinMiddleIntegrator`"
+    for model, (name, method, fs) in itertools.product(
+        lower, ((openmm, LFM, 0.5), (openmm, LFM, 4.0), ("`W2_3m`", "W2_3m", 4.0), ("`W2_4g`", "W2_4g", 4.0))
+    ):
+        of = record[model, "NVT", method, fs, FRICTION]
+        energy = of["U"][0] - lower[model] * (method == "W2_3m"), of["U"][1]
+        difference = of["T_rot - T_tr"]
+        projected = of["other T_rot - T_tr"] if method == LFM else difference
+        density = record.get((model, "NPT", method, fs, FRICTION), {}).get("density")
+        cells = (with_error(*difference, 1), with_error(*projected, 1), with_error(*energy, 2))
+        body.append((NAMES[model], f"{name}, {fs:g} fs", *cells, "" if density is None else with_error(*density, 1)))
+    head = ("T_rot − T_tr as reported (K)", "after projection (K)", "U (kJ/mol per molecule)", "density (kg/m³)")
+    return table(("", "integrator, time per force", *head), body)
 
 
 def shadow_predictions() -> str:

@@ -183,4 +183,5 @@ def _advice(system: openmm.System, bodies: RigidBodies) -> Iterator[str]:
         "constant temperature: rb.ExactRigidBodyLangevinIntegrator(300*kelvin, 5/picosecond, "
         f'forceInterval={longest:g}*femtoseconds, scheme="{nvt.name}")'
     )
-    yield f"these steps were measured on {what} (documentation: Which integrator, scheme and step)"
+    page = "Which integrator, scheme and step, which names where OpenMM is as good"
+    yield f"these steps were measured on {what} (documentation: {page})"
