@@ -282,8 +282,8 @@ class ExactRigidBodyIntegrator(Copied, OwnProgram, openmm.CustomIntegrator, Body
         try:
             propagator = self._present()
             thermostat = self._thermostat
-            if thermostat is not None and propagator.updates.temperatures:
-                propagator.updates.check_temperatures(propagator.sync.context, thermostat.temperature)
+            temperature = thermostat.temperature if thermostat is not None and thermostat.acts else None
+            propagator.updates.settle(propagator.sync.context, temperature)
             key = 0 if thermostat is None else self._noise.key(self, count)
             propagator.advance(self._version, self._settings, key, count)
         finally:

@@ -79,6 +79,11 @@ class Thermostat(ABC):
         return None
 
     @property
+    def acts(self) -> bool:
+        """Whether the thermostat ever changes momenta; otherwise, its temperature is irrelevant."""
+        return True
+
+    @property
     def own_numbers(self) -> tuple[str, ...]:
         """Names of variables of this thermostat alone. Other thermostats cannot read checkpoints that contain them."""
         return ()

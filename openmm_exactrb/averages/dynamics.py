@@ -177,7 +177,7 @@ def _of_openmm(simulation: Any, frictions: tuple[float, ...]) -> Dynamics:
     """Return the dynamics of a LangevinMiddleIntegrator: BAOA with drifts along chords."""
     integrator, context, system = simulation.integrator, simulation.context, simulation.system
     temperature = integrator.getTemperature().value_in_unit(unit.kelvin)
-    ContextUpdates(context, ()).check_temperatures(context, temperature)
+    ContextUpdates(context, ()).settle(context, temperature)
     warn_of_removed_motion(system)
     x = arrays.positions(context.getState(positions=True))
     bodies = find_bodies(system, x, box=arrays.periodic_box(context))

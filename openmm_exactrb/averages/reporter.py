@@ -99,9 +99,9 @@ class AverageReporter:
             )
         if self._changing(simulation) != self._present:
             raise ValueError(
-                "the step size, the thermostat, the force groups, a parameter of the Context, or (by reinitialize) "
-                f"the System has changed since the first frame in {self._file}: use a new AverageReporter with another "
-                "file"
+                "the step size, the thermostat, the barostat, the force groups, a parameter of the Context, or (by "
+                f"reinitialize) the System has changed since the first frame in {self._file}: use a new "
+                "AverageReporter with another file"
             )
         values = [state.getTime().value_in_unit(unit.picosecond), *frames.row(state, self._observables)]
         self._out.write(",".join([str(simulation.currentStep), *(repr(float(v)) for v in values)]) + "\n")
@@ -135,8 +135,8 @@ class AverageReporter:
 
     def _changing(self, simulation: Any) -> object:
         """Return the settings that a user may change during a run."""
-        groups = simulation.integrator.getIntegrationForceGroups()
-        return self._dynamics.changing(), groups, dict(simulation.context.getParameters())
+        groups, context = simulation.integrator.getIntegrationForceGroups(), simulation.context
+        return self._dynamics.changing(), groups, dict(context.getParameters()), _barostat(context)
 
     def _settings(self, simulation: Any) -> Settings:
         """Return the settings of a Simulation; raise ValueError if its averages cannot be corrected."""
@@ -168,9 +168,7 @@ class AverageReporter:
 
 def _barostat(context: Any) -> tuple[str, float]:
     """Return the type and the pressure (bar) of the barostat of a Context; the type is empty without a barostat."""
-    barostats = [
-        force for force in acting_updates(context) if type(force).__name__ in BAROSTATS and force.getFrequency()
-    ]
+    barostats = [force for force in acting_updates(context) if type(force).__name__ in BAROSTATS]
     if len(barostats) > 1:
         raise ValueError("averages cannot be corrected with several barostats: keep only one in the System")
     barostat = type(barostats[0]).__name__ if barostats else ""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from openmm import app, unit
 from openmm.app.internal.unitcell import computeLengthsAndAngles
 
-from openmm_exactrb.context.updates import UPDATES
+from openmm_exactrb.context.updates import names_of_updates
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
@@ -43,8 +43,7 @@ def described(
     """
     names = _Names(system, topology)
     yield from _particles(system)
-    others = [name for force in system.getForces() if (name := type(force).__name__) in UPDATES]
-    if others:
+    if others := names_of_updates(system):
         yield f"acting between steps: {', '.join(others)}"
     try:
         bodies, noted = _found(system, positions)

@@ -11,7 +11,7 @@ from openmm import unit
 
 from openmm_exactrb.averages import PressureOffset
 from openmm_exactrb.command import arguments
-from openmm_exactrb.context.updates import UPDATES
+from openmm_exactrb.context.updates import UPDATES, frequency, names_of_updates
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.rotors import ROTORS
 from openmm_exactrb.thermostats import ExactRigidBodyLangevinIntegrator
@@ -30,9 +30,14 @@ _MOVE = 0.05  # time in ps between two barostat moves for any step size, equal t
 
 
 def couple(system: openmm.System, args: argparse.Namespace) -> None:
-    """Add the barostat of the ensemble; raise ValueError if the System has a thermostat, a barostat or no box."""
-    others = [name for force in system.getForces() if (name := type(force).__name__) in UPDATES and name != _REMOVER]
-    if others:
+    """Add the barostat of the ensemble; raise ValueError if the System has a thermostat, a barostat or no box.
+
+    Thermostats and barostats of the System that never act are removed.
+    """
+    for k, force in reversed([*enumerate(system.getForces())]):
+        if type(force).__name__ in UPDATES and not frequency(force):
+            system.removeForce(k)
+    if others := [name for name in names_of_updates(system) if name != _REMOVER]:
         raise ValueError(
             f"the System already contains {' and '.join(others)}, but --ensemble determines the thermostat and the "
             f"barostat of the run: remove {' and '.join(others)} from the System"

@@ -39,38 +39,71 @@ class ContextUpdates:
     """OpenMM's actions between steps in a Context; raises ValueError if a barostat would tear bodies apart.
 
     A CMMotionRemover acts on velocities alone, and therefore equally on the inner and the true state of a processed
-    scheme. OpenMM applies barostats and thermostats of the System to the true state.
+    scheme. OpenMM applies barostats and thermostats of the System to the true state. Those whose frequency is 0 do not
+    act; `settle` reads the frequencies again.
 
     Attributes
     ----------
     lost : tuple of int
         The degrees of freedom of translation and of rotation that constraints other than distances remove.
+    has_thermostats : bool
+        Whether the System has a thermostat, which may act or not.
     moves, pushes : bool
         Whether a barostat moves bodies, and whether a thermostat changes their momenta.
+    interval : int
+        Number of steps between two moves of a barostat; 0 if they never move bodies.
     temperatures : dict
-        The names of barostats and thermostats, keyed by the Context parameter that holds their temperature.
+        The names of acting barostats and thermostats, keyed by the Context parameter that holds their temperature.
     """
 
     def __init__(self, context: openmm.Context, named: Sequence[Sequence[int]], lost: tuple[int, int] = (0, 0)) -> None:
-        removers = [force for force in context.getSystem().getForces() if type(force).__name__ == _REMOVER]
-        acting = acting_updates(context)
-        thermostats, barostats = ([f for f in acting if (type(f).__name__ == _THERMOSTAT) is t] for t in (True, False))
-        _check_torn_bodies(context, barostats, named)
-        _check_dipoles_of_one_box(context, barostats)
-        self._removals = tuple(force.getFrequency() for force in removers)
-        self._barostats = barostats
+        self._removals = tuple(
+            force.getFrequency() for force in context.getSystem().getForces() if type(force).__name__ == _REMOVER
+        )
+        self._couplings, self._named, self.lost = couplings(context), named, lost
+        self._barostats = [force for force in self._couplings if not _is_thermostat(force)]
+        self.has_thermostats = len(self._couplings) > len(self._barostats)
         self._advance = advancing()
-        self._waiting = 0  # steps since OpenMM last acted
-        self._since_trial = [0] * len(barostats)  # updates since the last trial of each barostat
-        self.lost = lost
-        self.moves, self.pushes = bool(barostats), bool(thermostats)
-        self.temperatures = {force.Temperature(): type(force).__name__ for force in acting}
+        self._since_trial = [0] * len(self._barostats)  # updates since the last trial of each barostat
+        self._frequencies: list[float] | None = None
+        self._several = False
+        self.settle(context)
+
+    def settle(self, context: openmm.Context, temperature: float | None = None) -> None:
+        """Take account of barostats and thermostats that were switched on or off since the last call.
+
+        Parameters
+        ----------
+        context : openmm.Context
+        temperature : float, optional
+            The temperature in K of the integrator's thermostat, if this thermostat acts.
+
+        Raises
+        ------
+        ValueError
+            If a barostat would tear bodies apart, or has another temperature than the integrator, or both the System
+            and the integrator have a thermostat.
+        """
+        frequencies = [frequency(force, context) for force in self._couplings]
+        if frequencies != self._frequencies:
+            acting = [force for force, rate in zip(self._couplings, frequencies, strict=True) if rate]
+            barostats = [force for force in acting if not _is_thermostat(force)]
+            _check_torn_bodies(context, barostats, self._named)
+            _check_dipoles_of_one_box(context, barostats)
+            self._frequencies = frequencies
+            self._waiting = 0  # steps since OpenMM last acted
+            self.moves, self.pushes = bool(barostats), len(acting) > len(barostats)
+            self.interval = math.gcd(*(force.getFrequency() for force in barostats))
+            self._several |= len(barostats) > 1
+            self.temperatures = {force.Temperature(): type(force).__name__ for force in acting}
+        if temperature is not None and self.temperatures:
+            self._check_temperatures(context, temperature)
 
     def hottest(self, context: openmm.Context) -> float:
         """Return the largest RT (kJ/mol) of thermostats and barostats, from the present parameters of the Context."""
         return max((gas_constant_times(context.getParameter(name)) for name in self.temperatures), default=0.0)
 
-    def check_temperatures(self, context: openmm.Context, temperature: float) -> None:
+    def _check_temperatures(self, context: openmm.Context, temperature: float) -> None:
         """Raise ValueError for a second thermostat, or a barostat at a temperature other than the integrator's (K)."""
         if self.pushes:
             raise ValueError(
@@ -88,7 +121,7 @@ class ContextUpdates:
 
     @property
     def act(self) -> bool:
-        """Whether there are barostats, thermostats or a CMMotionRemover."""
+        """Whether barostats, thermostats or a CMMotionRemover act."""
         return self.moves or self.pushes or self.removes_motion
 
     @property
@@ -105,9 +138,14 @@ class ContextUpdates:
         )
 
     @property
+    def always(self) -> bool:
+        """Whether OpenMM acts after every step, because of a thermostat or of barostats that count differently."""
+        return self.pushes or (self.moves and self._several)
+
+    @property
     def period(self) -> int:
         """Number of steps between two actions of barostats or thermostats; 0 if they never act."""
-        return 1 if self.pushes else math.gcd(*(barostat.getFrequency() for barostat in self._barostats))
+        return 1 if self.always else self.interval
 
     @property
     def removal(self) -> int:
@@ -126,10 +164,10 @@ class ContextUpdates:
 
         A barostat of frequency n acts in every n-th update. The other updates have no effect and are deferred.
         """
-        if not (self.moves or self.pushes):
+        if not self.period:
             return 0
         self._waiting += 1
-        if not self.period or self._waiting < self.period:
+        if self._waiting < self.period:
             return 0
         waiting, self._waiting = self._waiting, 0
         return waiting
@@ -179,12 +217,38 @@ def warn_of_removed_motion(system: openmm.System) -> None:
         )
 
 
-def acting_updates(context: openmm.Context) -> list[Any]:
+def couplings(context: openmm.Context) -> list[Any]:
     """Return the thermostats and barostats that a Context had when it was created; those added later do not act."""
     known = set(context.getParameters())
     names = (_THERMOSTAT, *BAROSTATS)
     found = [force for force in context.getSystem().getForces() if type(force).__name__ in names]
     return [force for force in found if force.Temperature() in known]
+
+
+def frequency(force: Any, context: openmm.Context | None = None) -> float:
+    """Return how often a force acts between steps: per ps for a thermostat, or steps from one action to the next.
+
+    The force never acts if the result is 0. Without a Context, the result for a thermostat is its default.
+    """
+    if not _is_thermostat(force):
+        return int(force.getFrequency())
+    if context is None:
+        return float(force.getDefaultCollisionFrequency()._value)
+    return float(context.getParameter(force.CollisionFrequency()))
+
+
+def acting_updates(context: openmm.Context) -> list[Any]:
+    """Return the thermostats and barostats that act in a Context at present."""
+    return [force for force in couplings(context) if frequency(force, context)]
+
+
+def names_of_updates(system: openmm.System) -> list[str]:
+    """Return the names of the forces that act between steps in new Contexts of a System."""
+    return [name for force in system.getForces() if (name := type(force).__name__) in UPDATES and frequency(force)]
+
+
+def _is_thermostat(force: Any) -> bool:
+    return type(force).__name__ == _THERMOSTAT
 
 
 def _check_torn_bodies(context: openmm.Context, barostats: list[Any], named: Sequence[Sequence[int]]) -> None:

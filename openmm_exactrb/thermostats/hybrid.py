@@ -115,6 +115,11 @@ class HybridMonteCarlo(Langevin):
         positive(self.temperature, "the temperature of the Metropolis test", "K")
         whole(self.stepsPerProposal, "stepsPerProposal")
 
+    @property
+    def acts(self) -> bool:
+        """Return True: the Metropolis test depends on the temperature, even without friction."""
+        return True
+
     def kernel_exchange(self, tau: float, freedom: tuple[int, int]) -> None:  # type: ignore[override]
         """Return None, because the Metropolis test needs energies on the host."""
 

@@ -26,6 +26,7 @@ from openmm_exactrb.openmm_access.units import gas_constant_times, kelvin
 from openmm_exactrb.openmm_access.units import not_negative as not_negative_quantity
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes import Scheme
+from openmm_exactrb.support.descriptions import mismatch
 from openmm_exactrb.support.types import Array
 from openmm_exactrb.thermostat import Exchange, Thermostat
 from openmm_exactrb.thermostats.face import HeatedIntegrator, Options
@@ -83,6 +84,11 @@ class Langevin(Thermostat):
         """The inverse (ps) of the smallest nonzero friction, or None without friction."""
         rates = [rate for rate in (*self.frictions, *self.flexible_frictions) if rate > 0.0]
         return 1.0 / min(rates) if rates else None
+
+    @property
+    def acts(self) -> bool:
+        """Whether there is friction, or a subclass overrides the exchange."""
+        return self.relaxation is not None or bool(mismatch(self, "frictions", *self.flows))
 
     def bind(self, environment: Environment) -> Exchange:
         """Return the Ornstein-Uhlenbeck flow."""
@@ -215,7 +221,8 @@ class ExactRigidBodyLangevinIntegrator(HeatedIntegrator):
 
     Notes
     -----
-    `step` raises a ValueError if the System also has a thermostat, or a barostat at another temperature.
+    `step` raises a ValueError if the System also has a thermostat, or a barostat at another temperature, unless the
+    frequency of this thermostat or barostat is 0, so that it never acts.
 
     Runs with the same seed have the same noise: use different seeds for independent trajectories.
     """

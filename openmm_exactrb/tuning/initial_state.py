@@ -13,7 +13,7 @@ import numpy as np
 import openmm
 from openmm import app, unit
 
-from openmm_exactrb.context.updates import UPDATES
+from openmm_exactrb.context.updates import UPDATES, names_of_updates
 from openmm_exactrb.errors import IntegrationError
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.openmm_access.platforms import mixed, platform_of
@@ -72,14 +72,12 @@ class InitialState:
 
 
 def conservative(system: openmm.System) -> tuple[openmm.System, list[str]]:
-    """Return a copy of a System without thermostats, barostats and motion removers, and the names of those removed."""
-    twin, left_out = copy.deepcopy(system), []
+    """Return a copy of a System without thermostats, barostats and motion removers, and the names of those that act."""
+    twin = copy.deepcopy(system)
     for i in reversed(range(twin.getNumForces())):
-        name = type(twin.getForce(i)).__name__
-        if name in UPDATES:
-            left_out.append(name)
+        if type(twin.getForce(i)).__name__ in UPDATES:
             twin.removeForce(i)
-    return twin, left_out[::-1]
+    return twin, names_of_updates(system)
 
 
 def initial_state(

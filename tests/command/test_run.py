@@ -309,6 +309,19 @@ def test_the_barostat_has_the_settings_of_the_options(box):
         assert barostat.getFrequency() == frequency
 
 
+def test_thermostats_and_barostats_that_never_act_are_replaced(box):
+    _, system, _, _ = box
+    n = system.getNumForces()
+    for force in (openmm.MonteCarloBarostat(9.0, 200.0, 0), openmm.AndersenThermostat(200.0, 0.0)):
+        system.addForce(force)
+    couple(system, Namespace(ensemble="npt", pressure=500.0, temperature=280.0, seed=7))
+    assert system.getNumForces() == n + 1
+    assert system.getForce(n).getDefaultTemperature() == 280 * unit.kelvin
+    system.addForce(openmm.AndersenThermostat(200.0, 1.0))
+    with pytest.raises(ValueError, match="the System already contains MonteCarloBarostat and AndersenThermostat"):
+        couple(system, Namespace(ensemble="nvt"))
+
+
 def test_the_offset_of_averages_is_added_to_the_pressure_for_the_same_settings_alone(box, tmp_path):
     """A slope of 1e6 bar/ps² and no covariances: the offset is -8e-3 to -1e-2 (0.012 ps)² of it, by the friction."""
     settings = {

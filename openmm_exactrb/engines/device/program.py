@@ -92,7 +92,7 @@ def copy(array: str, to: str) -> str:
 SITES, REORDER, STEP = "sites", "reorder", "step"
 
 # Scalars of the integrator.
-_COUNTS = ("interval", "removal", "calls")
+_COUNTS = ("interval", "always", "removal", "calls")
 
 #: A launch, or another operation as a line of the program.
 Operation = Launch | str
@@ -102,9 +102,10 @@ Operation = Launch | str
 class Program:
     """A program: arrays, scalars and sequences of operations.
 
-    All scalars are saved, like `saved` arrays. The integrator reads "interval", the number of steps between actions of
-    barostats or thermostats of the System, and "removal", the number of steps between removals of the centre-of-mass
-    motion; 0 means never. In "calls" the integrator counts the steps since OpenMM last updated the Context.
+    All scalars are saved, like `saved` arrays. The integrator reads "interval", the number of steps between moves of a
+    barostat, and "removal", the number of steps between removals of the centre-of-mass motion; 0 means never. If
+    "always" is not 0, barostats or thermostats may act after every step. In "calls" the integrator counts the steps
+    since OpenMM last updated the Context.
     """
 
     arrays: dict[str, Array] = field(default_factory=dict)

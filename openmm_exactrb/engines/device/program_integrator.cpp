@@ -210,7 +210,7 @@ private:
     bool forcesStale = true, placesStale = true, updating = false;
     int forceCount = -1, forceGroups = 0;
     double stepBegan = 0;  // in ps
-    long long updates = 0;  // since the Context was created; like the counters of barostats, not saved
+    long long updates = 0;  // since the barostat's last move; like the barostat's own counter, not saved
 
     struct Kept {  // the state saved by `keep`
         double time = 0;
@@ -509,16 +509,17 @@ void ProgramIntegrator::step(int steps) {
 // known. "open" begins a step, "body" continues it up to its last force evaluation, and "close" ends it. "between"
 // combines "close" with the following "open".
 //
-// OpenMM updates the Context when barostats act, after every "interval" updates, and when the number of steps is a
-// multiple of "removal". A value of 0 means never. "pushed" follows an update, and "moved" follows if positions
-// changed. Updates in which barostats act are preceded by the sequence "leave", if it exists, and followed by "return";
-// "leave_pushed" and "leave_moved" then replace "pushed" and "moved" if they exist.
+// OpenMM updates the Context when a barostat acts, after every "interval" updates, or after every step if "always" is
+// not 0, and when the number of steps is a multiple of "removal". A value of 0 means never. "pushed" follows an update,
+// and "moved" follows if positions changed. Updates in which barostats act are preceded by the sequence "leave", if it
+// exists, and followed by "return"; "leave_pushed" and "leave_moved" then replace "pushed" and "moved" if they exist.
 void ProgramIntegrator::makeSteps(int steps) {
     requireDevice();
     Current current(cc);
     uploadBox();
     stepBegan = cc->getTime();
     const int interval = (int) scalar("interval"), removal = (int) scalar("removal");
+    const bool always = scalar("always") != 0;
     double &calls = scalar("calls");
     bool begins = true;
     for (int i = 0; i < steps; i++) {
@@ -529,7 +530,7 @@ void ProgramIntegrator::makeSteps(int steps) {
         }
         carryOut("body");
         calls++;
-        const bool acts = interval > 0 && updates % interval + (long long) calls >= interval;
+        const bool acts = always || (interval > 0 && updates + (long long) calls >= interval);
         const bool due = acts || (removal > 0 && (cc->getStepCount() + 1) % removal == 0);
         begins = due || i == steps - 1;
         carryOut(begins ? "close" : "between");
@@ -553,7 +554,8 @@ void ProgramIntegrator::runAlone(const string& name) {
 
 // Perform OpenMM's updates (barostats, thermostats, CMMotionRemover) for the last `calls` steps.
 void ProgramIntegrator::update(int calls, bool leaves) {
-    updates += calls;
+    const int interval = (int) scalar("interval");
+    updates = interval > 0 && updates + calls >= interval ? 0 : updates + calls;
     auto behind = [&](const string& name) {
         carryOut(leaves && sequences.count("leave_" + name) ? "leave_" + name : name);
     };

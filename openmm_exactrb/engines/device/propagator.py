@@ -130,7 +130,7 @@ class DevicePropagator:
         for part in assembly.parts:
             for name, values in part.tables().items():
                 self.device.upload(name, values)
-        self.device["interval"], self.device["removal"] = self.updates.period, self.updates.removal
+        self.device["removal"] = self.updates.removal
 
     @property
     def _flexible(self) -> list[Flexible]:
@@ -171,6 +171,13 @@ class DevicePropagator:
         numbers = self._settings.thermostat.kernel_exchange(tau, self.updates.freedom(self.sync.bodies))
         return (*numbers, *(0.0,) * (EXCHANGE_NUMBERS - len(numbers)))
 
+    def _send_intervals(self) -> None:
+        """Write to the device how often barostats and thermostats act, and begin to count steps if this has changed."""
+        device, intervals = self.device, (float(self.updates.interval), float(self.updates.always))
+        if (device["interval"], device["always"]) != intervals:
+            device["interval"], device["always"] = intervals
+            device["calls"] = 0.0
+
     def _send_numbers(self) -> None:
         """Write the persistent numbers of a thermostat to the device."""
         if self._factors is not None:
@@ -205,6 +212,7 @@ class DevicePropagator:
             self._bind(settings())
             self._version, changed = version, True
         self.device["key"] = key
+        self._send_intervals()
         if changed:
             self._largest = self._report()[0]
             self._send_numbers()

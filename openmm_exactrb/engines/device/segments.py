@@ -359,11 +359,11 @@ class Sequences:
         return [*self.carried_out(some), *self._sites]
 
     def write_updates(self, to: Program, updates: Any, processed: bool, ahead: Substeps) -> None:
-        """Write the sequences around OpenMM's updates of the Context; flags of `updates` state which updates occur.
+        """Write the sequences around OpenMM's updates of the Context; flags of `updates` state which may occur.
 
         A barostat acts after the drifts `ahead`, which follow the end of a step and are then undone.
         """
-        velocities = updates.pushes or updates.removes_motion
+        velocities = updates.has_thermostats or updates.removes_motion
         pushed, moved = self._each("pushed", False, False) if velocities else [], self._each("moved", False)
         to.sequence("pushed", pushed)
         if not processed:
@@ -376,5 +376,7 @@ class Sequences:
         enters = to.sequences["enter"]
         pushes = [*self._each("pushed", True, False), *self._each("pushed", True, True)] if velocities else []
         to.sequence("leave", to.sequences["postprocess"])
-        to.sequence("leave_pushed", [*pushes, *(enters if updates.pushes else [])])
-        to.sequence("leave_moved", [*self._each("moved", True), *enters])
+        to.sequence("leave_pushed", pushes)
+        # Entering writes positions and velocities to the Context, so it follows when both have been read from there.
+        to.sequence("leave_moved", [*self._each("moved", True), *([] if updates.has_thermostats else enters)])
+        to.sequence("return", enters if updates.has_thermostats else [])

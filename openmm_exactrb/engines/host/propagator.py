@@ -104,7 +104,6 @@ class HostPropagator:
         self.sync = Synchronisation(context, integrator, settings.named)
         self._kinetic = free_motion(self.sync.bodies, rotor, settings.constraints)
         self.updates = ContextUpdates(context, settings.named or [], self._kinetic.lost)
-        self._updates_act = self.updates.act
         self._conserves = conserve_energy(context.getSystem())
         self._timings, self._integrator = timings, weakref.ref(integrator)
         self._positions = self.sync.positions
@@ -259,7 +258,7 @@ class HostPropagator:
 
     def _updated(self, state: State) -> State:
         """Return a state after the updates of OpenMM that follow a step."""
-        if not self._updates_act:
+        if not self.updates.act:
             return state
         state = self.environment.at_rest(state)
         n = self.updates.due()

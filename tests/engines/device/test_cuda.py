@@ -24,7 +24,7 @@ BUILDS = pytest.mark.parametrize(
         for j, arch in enumerate(("80", "90", "120"))
     ],
 )
-UPDATES = SimpleNamespace(pushes=True, removes_motion=True, moves=True)
+UPDATES = SimpleNamespace(has_thermostats=True, removes_motion=True)
 
 
 def sources(scheme, thermostat, start):
