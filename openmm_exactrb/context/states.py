@@ -20,11 +20,12 @@ _OTHER_SETTINGS = (
 
 
 def load_by_integrators(kind: type[Any]) -> None:
-    """Let Contexts with integrators of a class load States that were saved with integrators of other packages.
+    """Let integrators of a class load States of integrators of other packages, and those load States of this package.
 
-    A CustomIntegrator cannot read the data of most other integrators: OpenMM raises errors such as "Unknown property
-    'version'". These data are ignored, as OpenMM's LangevinMiddleIntegrator ignores them. The method of all Contexts is
-    replaced, because it is usually called before the integrator has found its Context.
+    A CustomIntegrator cannot read the data of most other integrators, and OpenMM's NoseHooverIntegrator and
+    MTSIntegrator cannot read those of this package: OpenMM raises errors such as "Unknown property 'version'". These
+    data are ignored, as OpenMM's LangevinMiddleIntegrator ignores them. The method of all Contexts is replaced, because
+    it is usually called before the integrator has found its Context.
     """
     method = openmm.Context.setState
 
@@ -33,12 +34,14 @@ def load_by_integrators(kind: type[Any]) -> None:
         try:
             method(context, state)
         except openmm.OpenMMException as error:
-            foreign = isinstance(state, openmm.State) and state.getDataTypes() & openmm.State.IntegratorParameters
-            if not foreign or not isinstance(context.getIntegrator(), kind):
+            if not isinstance(state, openmm.State) or not state.getDataTypes() & openmm.State.IntegratorParameters:
                 raise
             text = openmm.XmlSerializer.serialize(state)
-            if PREFIX in text:
+            reads, wrote = isinstance(context.getIntegrator(), kind), PREFIX in text
+            if reads and wrote:
                 raise openmm.OpenMMException(_OTHER_SETTINGS) from error
+            if not reads and not wrote:
+                raise
             method(context, openmm.XmlSerializer.deserialize(_DATA.sub("", text)))
 
     openmm.Context.setState = load

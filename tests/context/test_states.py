@@ -75,6 +75,17 @@ def test_states_of_openmms_integrators_are_loaded(tmp_path, theirs, ours, moved)
     assert np.isfinite(held(second)).all()
 
 
+@pytest.mark.parametrize("ours", OURS)
+@pytest.mark.parametrize("theirs", THEIRS)
+def test_states_of_ours_are_loaded_by_openmms_integrators(tmp_path, theirs, ours):
+    first, second = water(OURS[ours]()), water(THEIRS[theirs]())
+    first.step(2)
+    first.saveState(str(tmp_path / "state.xml"))
+    second.loadState(str(tmp_path / "state.xml"))
+    np.testing.assert_array_equal(held(second), held(first))
+    assert second.context.getStepCount() == 2
+
+
 @pytest.mark.opencl
 @pytest.mark.parametrize("theirs", THEIRS)
 def test_states_of_openmms_integrators_are_loaded_on_the_device(theirs):
