@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from openmm import unit
 
 from openmm_exactrb.averages.chord import Chords
-from openmm_exactrb.context.synchronisation import watch
 from openmm_exactrb.context.updates import ContextUpdates, warn_of_removed_motion
+from openmm_exactrb.context.watch import watch
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.mechanics.bodies import RigidBodies

@@ -4,17 +4,50 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import openmm
 
 from openmm_exactrb.context.synchronisation import Positions
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.mechanics.bodies import Part
 from openmm_exactrb.mechanics.state import BodyState, Force, ForceMemory, State
-from openmm_exactrb.openmm_access import arrays
+from openmm_exactrb.openmm_access import arrays, platforms
 from openmm_exactrb.support.types import Array
+
+
+class KnownForces(NamedTuple):
+    """Forces that OpenMM evaluated earlier, from which `changed` tells whether it would now evaluate others.
+
+    OpenMM informs only an integrator's C++ part of ``updateParametersInContext``. In Python, nothing short of another
+    evaluation notices changed forces: the parameters of the System's forces are those of the Context only after this
+    call, and reading all of them takes as long as an evaluation.
+    """
+
+    forces: ContextForces
+    state: State
+    found: openmm.State
+
+    def changed(self) -> bool:
+        """Return whether forces have changed in a Context with the same box and parameters as at the evaluation.
+
+        Forces that differ from one evaluation to the next, such as random ones, are no change. The positions, the time
+        and the number of steps of the Context are afterwards those of the evaluation.
+        """
+        now = self._now()
+        return self._differ(now, arrays.forces(self.found)) and not self._differ(now, self._now())
+
+    def _now(self) -> Array:
+        """Return the forces that OpenMM evaluates at the same positions and time."""
+        context = self.forces.positions.context
+        context.setTime(self.found.getTime())
+        openmm.Context.setStepCount(context, self.found.getStepCount())  # not the method that detects changes by users
+        return arrays.forces(self.forces.asked(self.state, forces=True))
+
+    def _differ(self, now: Array, before: Array) -> bool:
+        """Return whether a force differs by more than rounding errors."""
+        return not np.abs(now - before).max(initial=0.0) <= self.forces.rounding * np.sqrt((before * before).mean())
 
 
 class EvaluatedForces(ABC):
@@ -47,6 +80,10 @@ class EvaluatedForces(ABC):
         """Evaluate the potential energy together with the forces in all later evaluations."""
 
     @abstractmethod
+    def last_known(self) -> list[KnownForces]:
+        """Return the last forces that OpenMM evaluated at present positions."""
+
+    @abstractmethod
     def _evaluated(self, state: State, present: bool) -> Force:
         """Return the forces and torques at the present positions, or at the positions of any state."""
 
@@ -58,25 +95,34 @@ class ContextForces(EvaluatedForces):
         super().__init__(positions)
         self.groups, self._timings, self._counter = groups, timings, counter
         self._energies, self._energy = False, 0.0
+        self._last: tuple[State, openmm.State] | None = None
+        #: A bound of the rounding errors of forces, relative to the root mean square force.
+        self.rounding = platforms.rounding(positions.context)
 
     def energy(self, state: State) -> float:
         """Return the potential energy (kJ/mol) of these groups at the present positions."""
         if self._energies:
             self(state)
             return self._energy
-        return self._potential_energy(self.positions.write, state)
+        return self.energy_at(state)
 
     def energy_at(self, state: State) -> float:
         """Return the potential energy (kJ/mol) of these groups at the positions of any state."""
-        return self._potential_energy(self.positions.show, state)
+        if not self.groups:
+            return 0.0
+        return float(self.asked(state, energy=True).getPotentialEnergy()._value)
 
     def with_energies(self) -> None:
         """Evaluate the potential energy together with the forces in all later evaluations."""
         self._energies = True
 
+    def last_known(self) -> list[KnownForces]:
+        """Return the last forces that OpenMM evaluated at present positions."""
+        return [] if self._last is None else [KnownForces(self, *self._last)]
+
     def landscape(self, state: BodyState) -> tuple[float, Array, Array]:
         """Return the potential energy (kJ/mol), force and torque at the positions of any state."""
-        self.positions.show(State.of(state))
+        self.positions.write(State.of(state))
         found = self.positions.context.getState(energy=True, forces=True, groups=self.groups)
         return float(found.getPotentialEnergy()._value), *self.positions.bodies.forces(state, arrays.forces(found))
 
@@ -84,25 +130,21 @@ class ContextForces(EvaluatedForces):
         """Return the forces of those groups that are also in `groups` (bits)."""
         return ContextForces(self.positions, self.groups & groups, self._timings, counter)
 
-    def _potential_energy(self, place: Callable[[State], None], state: State) -> float:
-        if not self.groups:
-            return 0.0
-        return float(self._asked(place, state, energy=True).getPotentialEnergy()._value)
-
-    def _evaluated(self, state: State, present: bool) -> Force:
-        place = self.positions.write if present else self.positions.show
-        found = self._asked(place, state, forces=True, energy=self._energies)
-        if self._energies and present:
-            self._energy = float(found.getPotentialEnergy()._value)
-        return self.positions.bodies.forces(state.rounded, arrays.forces(found))
-
-    def _asked(self, place: Callable[[State], None], state: State, **kinds: bool) -> Any:
-        """Return OpenMM's State at the positions that a state of the bodies defines, and count the evaluation."""
+    def asked(self, state: State, **kinds: bool) -> Any:
+        """Return OpenMM's State at the positions of any state of the bodies, and count the evaluation."""
         start = time.perf_counter()
-        place(state)
+        self.positions.write(state)
         found = self.positions.context.getState(groups=self.groups, **kinds)
         self._count(start)
         return found
+
+    def _evaluated(self, state: State, present: bool) -> Force:
+        found = self.asked(state, forces=True, energy=self._energies)
+        if present:
+            self._last = state, found
+            if self._energies:
+                self._energy = float(found.getPotentialEnergy()._value)
+        return self.positions.bodies.forces(state.rounded, arrays.forces(found))
 
     def _count(self, start: float) -> None:
         """Count an evaluation that started at the given time."""
@@ -124,6 +166,10 @@ class SlowGroups(ContextForces):
         """Return the potential energy (kJ/mol) of slow and fast forces."""
         return super().energy(state) + self._fast.energy(state)
 
+    def last_known(self) -> list[KnownForces]:
+        """Return the last slow and fast forces that OpenMM evaluated at present positions."""
+        return super().last_known() + self._fast.last_known()
+
 
 class Remainder(EvaluatedForces):
     """All forces minus the fast forces on selected bodies, which are evaluated separately.
@@ -142,6 +188,10 @@ class Remainder(EvaluatedForces):
     def with_energies(self) -> None:
         """Evaluate the potential energy together with the forces in all later evaluations."""
         self._forces.with_energies()
+
+    def last_known(self) -> list[KnownForces]:
+        """Return the last of all forces that OpenMM evaluated at present positions."""
+        return self._forces.last_known()
 
     def _evaluated(self, state: State, present: bool) -> Force:
         own = self._part.of(state)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import functools
 import weakref
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import openmm
 from numpy.typing import NDArray
 
 from openmm_exactrb.context import variables
+from openmm_exactrb.context.watch import watch
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.mathematics.compensated import add
 from openmm_exactrb.mechanics.bodies import RigidBodies
@@ -35,17 +36,19 @@ _LOST = 1e-14
 
 
 class Positions:
-    """The positions of bodies in a Context, which only this object writes, and their version.
+    """The positions of bodies in a Context, which only this object writes, and the version of what forces depend on.
 
     The object does not keep the Context alive. Every change of positions, box or parameters increases `version`, so
-    that results of earlier versions are recomputed. The array x (n_particles, 3) contains the positions of all
-    particles. In this array, `placed` replaces the positions of particles in bodies.
+    that results of earlier versions are recomputed. Which positions the Context contains is known from the arrays of
+    the state that was written last, because flows return new arrays for positions that they change. The array x
+    (n_particles, 3) contains the positions of all particles. In this array, `placed` replaces the positions of
+    particles in bodies.
     """
 
     def __init__(self, context: Any, bodies: RigidBodies, x: Array) -> None:
         self._context, self.bodies, self.particles = weakref.ref(context), bodies, x
         self.version = 0
-        self._written = -1
+        self._written: tuple[Array, Array] | None = None  # R and q of the bodies in the Context, if known
         periodic = context.getSystem().usesPeriodicBoundaryConditions()
         self._loses_pairs = periodic and context.getPlatform().getName() == "Reference"
 
@@ -55,20 +58,16 @@ class Positions:
         return self._context()
 
     def write(self, state: State) -> None:
-        """Write the present positions, given by the state, into the Context unless they are there already."""
-        version = self.version
-        if self._written != version:
-            self.show(state)
-            self._written = version
-
-    def show(self, state: State) -> None:
-        """Write the positions of any state into the Context."""
-        self._written = -1
+        """Write the positions of any state into the Context, unless they are there already."""
+        if self._written is not None and state.R is self._written[0] and state.q is self._written[1]:
+            return
+        self._written = None
         context, x = self.context, self.placed(state)
         if self._loses_pairs:
             x[(x < 0.0) & (x > -_LOST)] = 0.0
         context.setPositions(x)
         context.computeVirtualSites()
+        self._written = state.R, state.q
 
     def placed(self, state: State) -> Array:
         """Return the positions (n_particles, 3) for any state of the bodies; virtual sites are not moved."""
@@ -77,7 +76,34 @@ class Positions:
     def moved(self) -> None:
         """Record a change of positions, box or parameters that this object did not make."""
         self.version += 1
-        self._written = -1
+        self._written = None
+
+
+class Changeable(Protocol):
+    """Forces that were known when an inner state was computed, such as `openmm_exactrb.context.forces.KnownForces`."""
+
+    def changed(self) -> bool:
+        """Return whether OpenMM would now evaluate other forces."""
+
+
+class Inner(NamedTuple):
+    """A state in the inner coordinates of a processed scheme, from which its steps continue, and what it belongs to.
+
+    Attributes
+    ----------
+    state : State
+    fingerprint : float
+        A number that identifies the settings, the box and the parameters to which the state belongs.
+    memory : Remembered
+        The forces of the last kicks.
+    forces : sequence of Changeable
+        The forces to which the state belongs, unless the state was loaded.
+    """
+
+    state: State
+    fingerprint: float
+    memory: Remembered = ([], [])
+    forces: Sequence[Changeable] = ()
 
 
 class Synchronisation:
@@ -93,10 +119,8 @@ class Synchronisation:
     bodies : RigidBodies
     state : State
         The state whose positions and velocities the Context contains.
-    inner : State or None
-        The state in the inner coordinates of a processed scheme, from which its steps continue.
-    memory : Remembered
-        The forces of the last kicks, in the inner coordinates.
+    inner : Inner or None
+        The inner state of a processed scheme, or None if steps continue from `state`.
     particles : (n_particles, 3) array
         Positions of all particles (nm); `Positions.placed` replaces those of particles in bodies.
     positions : Positions
@@ -122,13 +146,14 @@ class Synchronisation:
         self.positions = Positions(context, self.bodies, self.particles)
         self._seen: tuple[Array, Array] | None = None  # values in the Context when it last held `state`
         self.state: State
-        self.inner: State | None = None
-        self._coordinates = 0.0  # the mark of the coordinates of the inner state (see `inner_mark`)
-        self.memory: Remembered = ([], [])
+        self.inner: Inner | None = None
         self._outdated = self._written = False
         #: Called when a user has set a State or a step count, or has reinitialised the Context without a seed.
         self.new_trajectory: Callable[[], None] = lambda: None
-        watch(context, "reinitialize", self._write, self._outlive)
+        #: fingerprint(context) -> the `Inner.fingerprint` of the present settings, box and parameters.
+        self.fingerprint: Callable[[Any], float] = lambda context: 0.0
+        self._n_forces = context.getSystem().getNumForces()
+        watch(context, "reinitialize", self._write_shown, self._outlive)
         for name in ("setState", "setStepCount"):
             watch(context, name, after=lambda: self.new_trajectory())
         watch(context, "createCheckpoint", self._write, self._withdraw)
@@ -148,6 +173,7 @@ class Synchronisation:
         self._outdated = True
         context: Any = self._context()
         integrator: Any = self._integrator()
+        variables.put(integrator, variables.COORDINATES, 0.0)  # the forces of the System may have changed
         if not context.getStepCount() and not integrator.getRandomNumberSeed():  # OpenMM would draw a new seed too
             self.new_trajectory()
 
@@ -177,6 +203,8 @@ class Synchronisation:
             moved, pushed = (_differs(self.bodies, *pair) for pair in zip((x, v), seen, strict=True))
             state = self._refitted(self.state, self._joined(x), v, moved, pushed)
             self._follow(self.state, state)
+        if (x != self.particles)[self._fixed].any():
+            self.inner = None  # its forces were those of other positions of these particles
         self.state = state
         self.positions.moved()
         self.particles[:], self._v[:] = x, v  # massless particles other than virtual sites do not move
@@ -229,7 +257,7 @@ class Synchronisation:
         changes[1][:, atoms] = (after.rounded.P - self.bodies.tangent(before.rounded).P)[:, atoms]
         sizes = (self.bodies.mass, self.bodies.inertia.T)
         small = all(map(_is_small, changes, (1.0, sizes[0], 1.0, sizes[1])))
-        self.inner = State(*map(add, self.inner, changes)) if small else None
+        self.inner = self.inner._replace(state=State(*map(add, self.inner.state, changes))) if small else None
 
     def push(self) -> None:
         """Write the state into the Context; positions are written only if the Context has other positions."""
@@ -237,13 +265,19 @@ class Synchronisation:
         self.write_velocities(self.state)
         self._seen = self.held()
 
-    def inner_in(self, coordinates: float) -> State | None:
-        """Return the inner state if its coordinates have this mark, otherwise None."""
-        return self.inner if self._coordinates == coordinates else None
+    def valid_inner(self) -> Inner | None:
+        """Return the inner state, which is deleted if it does not belong to the present settings, box and forces.
 
-    def keep(self, inner: State | None, coordinates: float = 0.0, memory: Remembered = ([], [])) -> None:
-        """Store a state in the inner coordinates with this mark, and the last forces, for checkpoints and States."""
-        self.inner, self._coordinates, self.memory = inner, coordinates, memory
+        Steps then continue from the shown state. Afterwards, the Context may contain other positions and another time.
+        """
+        if self.inner is not None and (
+            self.inner.fingerprint != self.fingerprint(self.context) or self._forces_changed()
+        ):
+            self.inner = None
+        return self.inner
+
+    def _forces_changed(self) -> bool:
+        return self.inner is not None and any(forces.changed() for forces in self.inner.forces)
 
     @functools.cached_property
     def _mark(self) -> float:
@@ -257,22 +291,45 @@ class Synchronisation:
     def _read_inner(self) -> None:
         """Read the inner state from the integrator's variables, if they contain one."""
         integrator = self._integrator()
-        coordinates = variables.get(integrator, variables.COORDINATES)
-        inner = variables.read(integrator, self.bodies, variables.INNER) if coordinates else None
-        self.keep(inner, coordinates, ([], []) if inner is None else variables.read_forces(integrator, self.bodies))
+        fingerprint = variables.get(integrator, variables.COORDINATES)
+        inner = variables.read(integrator, self.bodies, variables.INNER) if fingerprint else None
+        self.inner = inner and Inner(inner, fingerprint, variables.read_forces(integrator, self.bodies))
 
     def _write(self) -> None:
+        """Write the state, and the inner state if it is valid, to the integrator's variables; see `_write_shown`."""
+        self._write_shown()
+        if not self._written or self.inner is None:
+            return
+        integrator = self._integrator()
+        if self.inner.fingerprint == self.fingerprint(self.context) and self._forces_changed_here():
+            self.inner = None
+            return
+        variables.write(integrator, self.bodies, self.inner.state, variables.INNER)
+        variables.write_forces(integrator, self.bodies, self.inner.memory)
+        variables.put(integrator, variables.COORDINATES, self.inner.fingerprint)
+
+    def _forces_changed_here(self) -> bool:
+        """Return whether forces have changed since the inner state was computed; the Context is not modified."""
+        context: Any = self._context()
+        if context.getSystem().getNumForces() != self._n_forces:  # OpenMM cannot evaluate forces before `reinitialize`
+            return True
+        x, time, number = self.held()[0], context.getTime(), context.getStepCount()
+        try:
+            return self._forces_changed()
+        finally:
+            context.setPositions(x)
+            context.setTime(time)
+            openmm.Context.setStepCount(context, number)
+            self.positions.moved()
+
+    def _write_shown(self) -> None:
         """Write the state to the integrator's variables, unless they hold a loaded state that was not yet pulled."""
         integrator = self._integrator()
         self._written = self._seen is not None and not variables.marked(integrator)
-        if not self._written:
-            return
-        variables.write(integrator, self.bodies, self.state)
-        if self.inner is not None:
-            variables.write(integrator, self.bodies, self.inner, variables.INNER)
-            variables.write_forces(integrator, self.bodies, self.memory)
-        variables.put(integrator, variables.COORDINATES, self._coordinates if self.inner is not None else 0.0)
-        variables.mark(integrator, self._mark)
+        if self._written:
+            variables.write(integrator, self.bodies, self.state)
+            variables.put(integrator, variables.COORDINATES, 0.0)
+            variables.mark(integrator, self._mark)
 
     def _unmark(self) -> None:
         """Remove the mark, so that only loaded variables have a mark."""
@@ -295,8 +352,7 @@ class Synchronisation:
 
     def replace(self, state: State) -> None:
         """Replace the state of the bodies and push it."""
-        self.state = state
-        self.keep(None)
+        self.state, self.inner = state, None
         self.positions.moved()
         self.push()
 
@@ -332,31 +388,3 @@ def _differs(bodies: RigidBodies, actual: Array, expected: Array, same: float = 
 def _saves(*arguments: Any, **options: Any) -> bool:
     """Return whether arguments of `Context.getState` request the integrator's variables."""
     return len(arguments) > 6 or bool(options.get("integratorParameters") or options.get("getIntegratorParameters"))
-
-
-def _nothing() -> None:
-    pass
-
-
-def watch(
-    context: openmm.Context,
-    name: str,
-    before: Callable[[], None] = _nothing,
-    after: Callable[[], None] = _nothing,
-    concerns: Callable[..., bool] = lambda *arguments, **options: True,
-) -> None:
-    """Call functions before and after relevant calls of a method of the Context, since OpenMM has no callbacks."""
-    method = getattr(type(context), name)
-    reference = weakref.ref(context)
-
-    @functools.wraps(method)
-    def noticing(*arguments: Any, **options: Any) -> Any:
-        if not concerns(*arguments, **options):
-            return method(reference(), *arguments, **options)
-        before()
-        try:
-            return method(reference(), *arguments, **options)
-        finally:
-            after()
-
-    setattr(context, name, noticing)

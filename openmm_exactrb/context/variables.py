@@ -27,7 +27,7 @@ SHOWN, INNER = "", "inner_"
 # that the variables hold a state, and identify its format; see `written`.
 _STORED = "stored"
 NOTHING, _WRITTEN, _STEPPING, _DEVICE = 0.0, 1.0, 2.0, 4.0
-#: The mark of the coordinates of the inner state (0 without an inner state), and the numbers of forces and of
+#: What identifies that to which the inner state belongs (0 without an inner state), and the numbers of forces and of
 #: differences of displaced forces that are stored with the inner state.
 COORDINATES, REMEMBERED, DIFFERENCES = "coordinates", "remembered", "differences"
 #: The seed of the noise, and the number of its stream.

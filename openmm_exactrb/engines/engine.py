@@ -7,6 +7,7 @@ without a full stop.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -19,6 +20,7 @@ from openmm_exactrb.context.updates import ContextUpdates
 from openmm_exactrb.mechanics.free_motion import Constrain
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.multiple_time_steps.fast_forces import MultipleTimeSteps
+from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.thermostat import Thermostat
@@ -77,6 +79,20 @@ class Settings:
     def own_numbers(self) -> tuple[str, ...]:
         """The names of the persistent numbers that only this thermostat has."""
         return () if self.thermostat is None else self.thermostat.own_numbers
+
+    def fingerprint(self, context: Any) -> float:
+        """Return a number that identifies all to which the inner state of a processed scheme belongs, except forces.
+
+        An inner state can be continued only with the processor, step size, force groups, free motion, box, parameters
+        and time with which it was computed. Without a processor, the result is 0.
+        """
+        if not self.scheme.processor:
+            return 0.0
+        state = context.getState(parameters=True)
+        surroundings = arrays.surroundings(state), state.getTime()._value
+        belongs_to = self.scheme.processor, self.h, self.groups, self.rotor.name, self.fast, surroundings
+        digest = hashlib.blake2b(repr(belongs_to).encode(), digest_size=6).digest()
+        return 1.0 + int.from_bytes(digest, "big")
 
 
 class Propagator(Protocol):

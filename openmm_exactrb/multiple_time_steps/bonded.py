@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -125,6 +126,50 @@ class Bonded(NamedTuple):
         for whole, numbers in zip(self.whole.tolist(), self.numbers.tolist(), strict=True):
             add(*whole, *([numbers] if custom else numbers))
         return force
+
+
+class BondedNumbers:
+    """The numbers of bonded forces and exceptions that join different bodies, which a user may change between steps.
+
+    The numbers are those of the System. They need not yet be those of the Context, because the kicks apply the forces
+    of the Context minus the fast forces.
+    """
+
+    def __init__(self, system: openmm.System, joining: Sequence[int]) -> None:
+        self._joining, self._count = joining, system.getNumForces()
+        self._numbers = self._read(system)
+
+    @classmethod
+    def of(cls, system: openmm.System, owner: Indices) -> BondedNumbers | None:
+        """Return the numbers of a System whose particles belong to bodies `owner`, or None if no such force exists."""
+        joining = [k for k, force in enumerate(system.getForces()) if _joins(force, owner)]
+        return cls(system, joining) if joining else None
+
+    def changed(self, system: openmm.System) -> bool:
+        """Return whether any number has changed since this method was last called."""
+        if system.getNumForces() != self._count:  # the Context needs `reinitialize` first
+            return False
+        before, self._numbers = self._numbers, self._read(system)
+        return not all(map(np.array_equal, before, self._numbers))
+
+    def _read(self, system: openmm.System) -> list[Array]:
+        return [_terms(system.getForce(k))[1] for k in self._joining]
+
+
+def _terms(force: Any) -> parameters.Rows:
+    """Return the terms of a bonded force, or the exceptions of a NonbondedForce."""
+    return parameters.exceptions(force) if isinstance(force, openmm.NonbondedForce) else parameters.terms(force)
+
+
+def _joins(force: Any, owner: Indices) -> bool:
+    """Return whether a force has terms or exceptions between particles of different bodies."""
+    if not isinstance(force, (*BONDED_FORCES, openmm.NonbondedForce)):
+        return False
+    whole = _terms(force)[0]
+    if isinstance(force, BONDED_FORCES):
+        whole = Bonded(force, whole, np.zeros(0)).particles
+    bodies = owner[whole]
+    return bool((bodies != bodies[:, :1]).any())
 
 
 def interacting_exceptions(force: openmm.NonbondedForce) -> Bonded:

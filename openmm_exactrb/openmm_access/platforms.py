@@ -75,6 +75,13 @@ def mixed(platform: openmm.Platform) -> dict[str, str]:
     return {_PRECISION: "mixed"} if _PRECISION in platform.getPropertyNames() else {}
 
 
+def rounding(context: Any) -> float:
+    """Return a bound of the rounding errors of forces in a Context, relative to the root mean square force."""
+    platform = context.getPlatform()
+    double = _PRECISION in platform.getPropertyNames() and precision(context) == "double"
+    return 1e-9 if double or platform.getName() == "Reference" else 1e-4
+
+
 def precision(context: Any) -> str:
     """Return whether a Context of a device computes in single, mixed or double precision."""
     return str(context.getPlatform().getPropertyValue(context, _PRECISION))

@@ -189,7 +189,7 @@ def test_a_substep_that_moves_bodies_is_followed_by_kicks_of_the_forces_there():
     forces, positions, state, _ = forces_of(simulation)
     elsewhere = State(state.R + np.array([0.2, 0.0])[:, None, None], *state[1:])
     expected = state.P[0] + 0.02 * (forces(state)[0] + forces.at(elsewhere)[0])
-    positions.show(state)
+    positions.write(state)
     simulation.integrator.checkDivergence = False  # which asks for energies
     simulation.integrator.step(1)
     np.testing.assert_allclose(simulation.integrator.bodyState()[1].P, expected, rtol=0.0, atol=1e-13)

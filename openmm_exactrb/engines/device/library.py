@@ -154,8 +154,8 @@ class Device:
     def changes(self, clear: int = 0) -> int:
         """Return the external changes to the Context as bits, and then clear the bits in `clear`.
 
-        The value 1 marks changed positions, 2 changed velocities, 4 changes of other quantities on which forces depend,
-        and 8 a loaded checkpoint or State.
+        The value 1 marks changed positions, 2 changed velocities, 4 forces with changed parameters, as set by
+        ``updateParametersInContext``, and 8 a loaded checkpoint or State.
         """
         value = ctypes.c_int()
         self._call("changes", clear, ctypes.byref(value))

@@ -129,8 +129,8 @@ public:
     double& scalar(const string& name) {
         return scalars[indexOf(scalars, name, "scalar")].value;
     }
-    // External changes to the Context since these bits were cleared: 1 for positions, 2 for velocities, 4 for other
-    // quantities on which forces depend, and 8 for a loaded checkpoint or State.
+    // External changes to the Context since these bits were cleared: 1 for positions, 2 for velocities, 4 for forces with
+    // changed parameters, and 8 for a loaded checkpoint or State.
     int changes = 7;
     long long launches = 0, forceCalls = 0;
 
@@ -140,8 +140,10 @@ protected:
     void stateChanged(State::DataType changed) override {
         CustomIntegrator::stateChanged(changed);
         forcesStale = true;
-        if (!updating)
-            changes |= changed == State::Positions ? 5 : changed == State::Velocities ? 2 : 4;
+        if (changed == State::Energy && loading)  // OpenMM reports it after each loaded checkpoint
+            loading = false;
+        else if (!updating)
+            changes |= changed == State::Positions ? 1 : changed == State::Velocities ? 2 : changed == State::Energy ? 4 : 0;
     }
     double computeKineticEnergy() override {
         return hasProgram() ? functions.kineticEnergy(&cc->getIntegrationUtilities(), 0.0) : CustomIntegrator::computeKineticEnergy();
@@ -187,6 +189,7 @@ private:
     void update(int calls, bool leaves);
     void uploadPlaces();
     void uploadBox();
+    template <class Real4> void restoreOrder();
     DeviceArray made(size_t size, int elementSize, const string& name) {
         DeviceArray array(cc->createArray());
         array->initialize(*cc, size, elementSize, name);
@@ -207,7 +210,7 @@ private:
         std::map<string, double> scalars;
         std::map<string, vector<char> > arrays;
     } loaded;
-    bool forcesStale = true, placesStale = true, updating = false;
+    bool forcesStale = true, placesStale = true, updating = false, loading = false;
     int forceCount = -1, forceGroups = 0;
     double stepBegan = 0;  // in ps
     long long updates = 0;  // since the barostat's last move; like the barostat's own counter, not saved
@@ -438,8 +441,10 @@ void ProgramIntegrator::uploadBox() {
         cc->getPeriodicBoxVectors(a, b, c);
         now = {a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2]};
     }
-    if (now != lastBox)
+    if (now != lastBox) {
         box->upload(now);
+        forcesStale = true;
+    }
     lastBox = now;
 }
 
@@ -604,6 +609,23 @@ void ProgramIntegrator::keep() {
     }
 }
 
+// Restore the order of the atoms. OpenMM stores charges beside positions. They are no part of the state, because they may
+// have changed with parameters since `keep`, so the kept positions receive the present charges.
+template <class Real4> void ProgramIntegrator::restoreOrder() {
+    vector<Real4> now, then;
+    cc->getPosq().download(now);
+    kept.copies[&cc->getPosq()]->download(then);
+    vector<decltype(Real4::w)> charges(now.size());
+    const vector<int>& atoms = cc->getAtomIndex();
+    for (int i = 0; i < cc->getNumAtoms(); i++)
+        charges[atoms[i]] = now[i].w;
+    for (int i = 0; i < cc->getNumAtoms(); i++)
+        then[i].w = charges[kept.order[i]];
+    kept.copies[&cc->getPosq()]->upload(then);
+    functions.setAtomIndex(cc, kept.order);
+    cc->setPosCellOffsets(kept.cells);
+}
+
 void ProgramIntegrator::restore() {
     requireDevice();
     if (kept.copies.empty())
@@ -612,8 +634,10 @@ void ProgramIntegrator::restore() {
     cc->setTime(kept.time), cc->setStepCount(kept.steps);
     updating = true;
     context->setPeriodicBoxVectors(kept.box[0], kept.box[1], kept.box[2]);
-    functions.setAtomIndex(cc, kept.order);
-    cc->setPosCellOffsets(kept.cells);
+    if (cc->getUseDoublePrecision())
+        restoreOrder<mm_double4>();
+    else
+        restoreOrder<mm_float4>();
     for (auto& pair : kept.copies)
         pair.second->copyTo(*pair.first);
     vector<Vec3> x, v;  // set through OpenMM, which then updates all data that depend on them
@@ -701,7 +725,7 @@ void ProgramIntegrator::createCheckpoint(std::ostream& stream) const {
 
 void ProgramIntegrator::loadCheckpoint(std::istream& stream) {
     CustomIntegrator::loadCheckpoint(stream);
-    forcesStale = placesStale = true;
+    forcesStale = placesStale = loading = true;
     changes = 7;
     if (get<int>(stream) != Mark)  // another kind of integrator wrote the stream
         return;

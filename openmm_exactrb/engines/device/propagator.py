@@ -15,16 +15,16 @@ from openmm_exactrb.context.forces import ContextForces
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.updates import ContextUpdates, conserve_energy
 from openmm_exactrb.engines.device.assembly import EXCHANGE_NUMBERS, Assembly
-from openmm_exactrb.engines.device.flexible.molecules import found, served
+from openmm_exactrb.engines.device.flexible.molecules import fast_of, found, served
 from openmm_exactrb.engines.device.flexible.part import Flexible
 from openmm_exactrb.engines.device.library import Device, library
-from openmm_exactrb.engines.device.state import DeviceState
-from openmm_exactrb.engines.host.propagator import inner_mark
+from openmm_exactrb.engines.device.state import FORCES, DeviceState
 from openmm_exactrb.errors import IntegrationError, NonFiniteError
 from openmm_exactrb.mechanics.divergence import ADVICE, GROWN, gained, lost
 from openmm_exactrb.mechanics.free_motion import free_motion
 from openmm_exactrb.mechanics.state import State
-from openmm_exactrb.openmm_access import arrays, platforms
+from openmm_exactrb.multiple_time_steps.bonded import BondedNumbers
+from openmm_exactrb.openmm_access import platforms
 from openmm_exactrb.openmm_access.molecules import in_flexible_molecules
 from openmm_exactrb.openmm_access.units import gas_constant_times
 from openmm_exactrb.schemes.sequence import behind_exchange, inverse
@@ -55,6 +55,8 @@ class DevicePropagator:
     def __init__(self, context: Any, integrator: Any, settings: Any, timings: Timings) -> None:
         system = context.getSystem()
         bodies, self._whole, self._fast = found(context, settings)
+        self._bonded = BondedNumbers.of(system, bodies.owner) if settings.fast else None
+        self._fast_changed = False
         self.sync = DeviceState(context, integrator, settings.named, bodies=bodies)
         self.updates = ContextUpdates(context, settings.named or [])
         self.device = Device(library(), integrator)
@@ -62,8 +64,7 @@ class DevicePropagator:
         self._sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
         self._conserves = conserve_energy(system)
         self._version: object = None
-        self._surroundings: object = None  # box and parameters to which the inner coordinates belong
-        self._kept = 0.0  # the mark (see `inner_mark`) of the inner coordinates before a call
+        self._kept = 0.0  # the fingerprint (see `Settings.fingerprint`) of the inner coordinates before a call
         self._largest = 0.0  # the largest kinetic energy (kJ/mol) that was accepted
         self._load()
         if (evaluated := self._served.evaluated) is not None:
@@ -144,13 +145,13 @@ class DevicePropagator:
 
     def _bind(self, settings: Any) -> None:
         """Adapt the numbers of the program to new settings; reload the whole program if necessary."""
-        self._leave(settings)
         before, self._settings = (self._settings.h, self._settings.groups), settings
         nested = self._fast is not None and before != (settings.h, settings.groups)
-        if self._assembly.scheme != settings.scheme or nested:
+        if self._assembly.scheme != settings.scheme or nested or self._fast_changed:
             self.sync.pull()
             self._load()
-            self.sync.replace(self.sync.state)
+            self.sync.renew()
+            self._fast_changed = False
         moves, numbers = self._assembly.table.values(settings.h, self._exchange)
         self.device.upload("moves", moves)
         self.device.upload("numbers", numbers)
@@ -206,8 +207,8 @@ class DevicePropagator:
             If integration errors increase the total energy abruptly.
         """
         changed = self.sync.settle()
-        if self._surroundings not in (None, self._present_surroundings()):
-            self._coordinates = 0.0  # the inner coordinates were computed from other forces
+        if self.device.changes(clear=FORCES) & FORCES:
+            self._take_new_forces()
         if version != self._version:
             self._bind(settings())
             self._version, changed = version, True
@@ -227,8 +228,6 @@ class DevicePropagator:
                 error.add_note(f"The Context could not be restored ({second}): load a checkpoint into a new Context.")
             raise
         self._fetch_numbers()
-        if self._processed:
-            self._surroundings = self._present_surroundings()
 
     def _make(self, n: int) -> None:
         """Perform n steps; raise IntegrationError if they diverge."""
@@ -255,6 +254,7 @@ class DevicePropagator:
                 self._enter()
             device.step(n)
             if self._processed and n:
+                self._coordinates = self._fingerprint  # a barostat may have changed the box
                 device.run("output" if self._assembly.cheap(device["turn"]) else "postprocess")
         except openmm.OpenMMException as error:
             if "NaN" not in str(error):
@@ -314,32 +314,39 @@ class DevicePropagator:
         state = self.sync.context.getState(energy=True, groups=self._settings.groups)
         return float(state.getPotentialEnergy()._value)
 
+    def _take_new_forces(self) -> None:
+        """Discard all that belongs to the forces before a change: inner coordinates, and numbers of fast forces."""
+        self._coordinates = 0.0
+        system, settings = self.sync.context.getSystem(), self._settings
+        if self._bonded is None or not self._bonded.changed(system):
+            return
+        fast = fast_of(system, self._whole, self.sync.bodies, settings)
+        if self._fast is None and fast is not None and fast.acts(settings.splitting, settings.h):
+            raise ValueError(
+                "the bonded forces have changed so that they need inner steps, for which the device has no program: "
+                "call context.reinitialize(preserveState=True)"
+            )
+        self._fast, self._fast_changed, self._version = fast, True, None
+
     # -- inner coordinates of a processed scheme -----------------------------------------------------------------------
 
     def _enter(self) -> None:
         """Compute inner coordinates from the shown state, unless they are available for the present settings."""
-        mark = inner_mark(self._settings.scheme, self._settings.h)
-        if self._coordinates != mark:
+        if self._coordinates != self._fingerprint:
             self.device.run("enter")
             self.device["turn"] = 0.0
-            self._coordinates = mark
+            self._coordinates = self._fingerprint
 
-    def _leave(self, settings: Any) -> None:
-        """Map inner coordinates back to true coordinates, by the exact inverse, unless they belong to `settings`."""
-        if self._coordinates and self._coordinates != inner_mark(settings.scheme, settings.h):
-            if self._version is not None:  # otherwise the coordinates belong to another program
-                self.device.run("postprocess")
-                self.sync.moved_on()
-            self._coordinates = 0.0
+    @property
+    def _fingerprint(self) -> float:
+        """The fingerprint of inner coordinates that belong to the present settings, box and parameters."""
+        return float(self._settings.fingerprint(self.sync.context))
 
     @property
     def _coordinates(self) -> float:
-        """The mark (see `inner_mark`) of the inner coordinates, or 0 without inner coordinates."""
+        """The fingerprint (see `Settings.fingerprint`) of the inner coordinates, or 0 without inner coordinates."""
         return variables.get(self._integrator(), variables.COORDINATES)
 
     @_coordinates.setter
-    def _coordinates(self, mark: float) -> None:
-        variables.put(self._integrator(), variables.COORDINATES, mark)
-
-    def _present_surroundings(self) -> object:
-        return arrays.surroundings(self.sync.context.getState(parameters=True)) if self._processed else None
+    def _coordinates(self, fingerprint: float) -> None:
+        variables.put(self._integrator(), variables.COORDINATES, fingerprint)

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from openmm_exactrb.context import variables
-from openmm_exactrb.context.synchronisation import Synchronisation
+from openmm_exactrb.context.synchronisation import Inner, Synchronisation
 from openmm_exactrb.engines.device.library import Device
 from openmm_exactrb.mechanics.fit import fit
 from openmm_exactrb.mechanics.state import BodyState, State
 
 # Bits of external changes, see `Device.changes`.
-SET, LOADED = 3, 8
+SET, FORCES, LOADED = 3, 4, 8
 # In single precision, positions (nm) and velocities (nm/ps) agree with a state if they differ from it by at most this
 # absolute tolerance plus this relative tolerance.
 _SINGLE, _SINGLE_PART = 1e-5, 1e-6
@@ -69,7 +69,7 @@ class DeviceState(Synchronisation):
         """Accept a state, and write it to the device if it changed or if massless particles moved (`elsewhere`)."""
         self.state, self._behind = state, False
         if elsewhere or state is not known:
-            self.inner = None if known is None or not self._processed else self._inner()
+            self.inner = None if known is None or elsewhere or not self._processed else self._inner()
             if known is not None:
                 self._follow(known, state)
             self._upload()
@@ -85,15 +85,14 @@ class DeviceState(Synchronisation):
         for part in self._parts:
             part.write(self._device, self.state.rounded, copied=True)
             if self._processed and self.inner is not None:
-                part.write(self._device, self.inner.rounded, copied=False)
+                part.write(self._device, self.inner.state.rounded, copied=False)
         if self._processed and self.inner is None:
             variables.put(self._integrator(), variables.COORDINATES, 0.0)
 
-    def _inner(self) -> State | None:
+    def _inner(self) -> Inner | None:
         """Read the state in inner coordinates from the device, or return None if there is no such state."""
-        if not variables.get(self._integrator(), variables.COORDINATES):
-            return None
-        return self._read(copied=False)
+        fingerprint = variables.get(self._integrator(), variables.COORDINATES)
+        return Inner(self._read(copied=False), fingerprint) if fingerprint else None
 
     def _read(self, copied: bool = True) -> State:
         """Read the shown state from the device or, if not `copied`, the state in inner coordinates."""
@@ -112,6 +111,11 @@ class DeviceState(Synchronisation):
         self._upload()
         self._device.changes(clear=SET | LOADED)
 
+    def renew(self) -> None:
+        """Write the state to the arrays of a new program, without inner coordinates."""
+        self.inner = None
+        self._upload()
+
     def replace(self, state: State) -> None:
         """Replace the state of the bodies and push it."""
         self.state, self.inner, self._behind = state, None, False
@@ -120,4 +124,4 @@ class DeviceState(Synchronisation):
     def _write(self) -> None:
         """Do nothing, because OpenMM saves the arrays of the program, which contain the state."""
 
-    _unmark = _withdraw = _write
+    _write_shown = _unmark = _withdraw = _write

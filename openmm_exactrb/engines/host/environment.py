@@ -72,7 +72,7 @@ class HostEnvironment:
 
     def moved(self) -> None:
         """Mark the positions as changed since the last substep."""
-        self.positions.version += 1
+        self.positions.moved()
 
     def flexible(self) -> NDArray[np.bool_]:
         """Return a mask (N,) of the bodies in molecules of more than one body."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import time
 import weakref
-import zlib
 from collections.abc import Callable, Mapping
 from typing import Any, cast
 
@@ -19,7 +18,7 @@ from openmm import unit
 
 from openmm_exactrb.context import variables
 from openmm_exactrb.context.forces import ContextForces, EvaluatedForces
-from openmm_exactrb.context.synchronisation import Synchronisation
+from openmm_exactrb.context.synchronisation import Inner, Synchronisation
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.updates import ContextUpdates, conserve_energy
 from openmm_exactrb.context.variables import Numbers
@@ -28,11 +27,11 @@ from openmm_exactrb.engines.host.environment import Bound, HostEnvironment
 from openmm_exactrb.mechanics.divergence import DivergenceCheck, Overheating
 from openmm_exactrb.mechanics.free_motion import Kinetic, free_motion
 from openmm_exactrb.mechanics.state import Flow, ForceMemory, State
+from openmm_exactrb.multiple_time_steps.bonded import BondedNumbers
 from openmm_exactrb.multiple_time_steps.fast_forces import fast_forces
 from openmm_exactrb.multiple_time_steps.inner_drift import InnerDrift
 from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.openmm_access.units import gas_constant_times
-from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.sequence import behind_exchange, inverse, through, up_to_kick
 from openmm_exactrb.schemes.thermostatted import canonical_momenta
 
@@ -107,15 +106,14 @@ class HostPropagator:
         self._conserves = conserve_energy(context.getSystem())
         self._timings, self._integrator = timings, weakref.ref(integrator)
         self._positions = self.sync.positions
-        found = fast_forces(context.getSystem(), self.sync.bodies, settings.fast)
-        separable = not settings.constraints
-        self._inner_drift = None if found is None else InnerDrift(found, self.sync, rotor, timings, separable)
+        self._bonded = BondedNumbers.of(self._system, self.sync.bodies.owner) if settings.fast else None
+        self._find_fast_forces(settings)
         self._clock = Clock(context)
         self._version: object = None
-        self._processed, self._coordinates, self._h = False, 0.0, 0.0
-        self._surroundings: object = None  # box and parameters at the end of the last call
+        self._processed, self._h = False, 0.0
         self.environment: HostEnvironment
         self._memory: ForceMemory
+        self._slow: EvaluatedForces
         self._overheating: Overheating | None = None
         self._left: State | None = None  # the final state of the last call of `advance`
 
@@ -144,15 +142,10 @@ class HostPropagator:
         try:
             with np.errstate(all="ignore"):  # non-finite numbers are reported with their bodies
                 self._make(n)
-        except BaseException:
-            self._positions.moved()  # the Context has positions from within the failed step
-            raise
         finally:
             self._clock.restore()
             environment.numbers.store(integrator)
             self.sync.push()
-            if self._processed:
-                self._surroundings = self._present_surroundings()
         if self._overheating is not None:
             self._overheating.see(self._clock.time, self.sync.state)
         if n:
@@ -171,16 +164,16 @@ class HostPropagator:
             return kinetic + self.environment.all_forces.energy_at(state)
         finally:
             self._clock.restore()
-            self._positions.moved()
             self.sync.push()
 
     def _settle(self, version: object, settings: Callable[[], Settings]) -> None:
         """Update the state and the substeps after changes to the Context and the integrator."""
         changed = self.sync.pull()
-        if self._processed and self._surroundings != self._present_surroundings():
-            self.sync.keep(None)  # the inner coordinates were computed from other forces
         self._clock.begin()
-        self._positions.moved()  # other quantities on which forces depend may have changed
+        self._positions.version += 1  # other quantities on which forces depend may have changed
+        if self._bonded is not None and self._bonded.changed(self._system):
+            self._find_fast_forces(settings())
+            self._version, self.sync.inner = None, None
         if version != self._version:
             self._bind(settings())
             self._version, changed = version, True
@@ -189,13 +182,22 @@ class HostPropagator:
             if self._overheating is not None:
                 self._overheating.begin(self._clock.time)
 
-    def _present_surroundings(self) -> object:
-        return arrays.surroundings(self.sync.context.getState(parameters=True))
+    @property
+    def _system(self) -> openmm.System:
+        return self.sync.context.getSystem()
+
+    def _find_fast_forces(self, settings: Settings) -> None:
+        """Find the fast forces of the System with the present numbers of its forces."""
+        found = fast_forces(self._system, self.sync.bodies, settings.fast)
+        arguments = self.sync, settings.rotor, self._timings, not settings.constraints
+        self._inner_drift = None if found is None else InnerDrift(found, *arguments)
 
     def _make(self, n: int) -> None:
         """Perform n steps from the present state."""
         check, clock = self.environment.divergence, self._clock
         check.enter(clock.number + 1, clock.time, self.sync.state)
+        if not n:
+            return
         state = self._entered()
         check.keep_from(state)
         for _ in range(n):
@@ -206,9 +208,11 @@ class HostPropagator:
             state = self._updated(state)
             if not self._processed:
                 self._keep(state)
-        if self._processed and n:
+        if self._processed:
             self._keep(self._shown(state))
-            self.sync.keep(state, self._coordinates, self._memory.copy())
+            clock.restore()  # the drifts of the output have advanced the time
+            fingerprint = self.sync.fingerprint(self.sync.context)
+            self.sync.inner = Inner(state, fingerprint, self._memory.copy(), self._slow.last_known())
 
     def _keep(self, state: State) -> None:
         """Accept a state and the data that belong to it as valid."""
@@ -222,11 +226,13 @@ class HostPropagator:
         """Return the state from which steps continue."""
         if not self._processed:
             return self.sync.state
-        inner = self.sync.inner_in(self._coordinates)
+        inner = self.sync.valid_inner()
+        self._clock.restore()
+        self._positions.version += 1
         if inner is None:
             return self._processed_from(self.sync.state)
-        self._memory.restore(self.sync.memory)
-        return inner
+        self._memory.restore(inner.memory)
+        return inner.state
 
     def _processed_from(self, state: State) -> State:
         """Return the inner state that corresponds to a true state at the present positions."""
@@ -300,13 +306,12 @@ class HostPropagator:
     def _bind(self, settings: Settings) -> None:
         """Bind the substeps of the settings to a new environment."""
         sync, h = self.sync, settings.h
-        if self._version is not None and self._processed:
-            self._leave_coordinates(settings)
         forces = ContextForces(self._positions, settings.groups, self._timings)
         divergence = DivergenceCheck(sync.bodies, forces.energy_at, sync.box, self._conserves and settings.check)
         kinetic, slow = self._split(settings, forces, divergence)
         scheme, bodies = settings.scheme if slow is forces else settings.scheme.with_inner_steps, sync.bodies
-        self._h, self._processed, self._coordinates = h, bool(scheme.processor), inner_mark(scheme, h)
+        self._h, self._processed, self._slow = h, bool(scheme.processor), slow
+        sync.fingerprint = settings.fingerprint
         slow.memory = self._memory = ForceMemory(*scheme.memory)
         self._overheating = self._watch(settings)
         self.environment = environment = HostEnvironment(
@@ -338,13 +343,6 @@ class HostPropagator:
             return None
         kT = gas_constant_times(thermostat.temperature)
         return Overheating(self.sync.bodies, kT, thermostat.relaxation)
-
-    def _leave_coordinates(self, settings: Settings) -> None:
-        """Map inner coordinates back to true coordinates, unless they belong to `settings`."""
-        inner = self.sync.inner_in(self._coordinates)
-        if inner is not None and inner_mark(settings.scheme, settings.h) != self._coordinates:
-            self.sync.state = self._true(inner)
-            self.sync.keep(None)
 
     def _split(
         self, settings: Settings, forces: ContextForces, divergence: DivergenceCheck
@@ -390,8 +388,3 @@ def _checked(flow: Callable[[State, Any], State], check: Callable[[State], Any])
         return after
 
     return checked
-
-
-def inner_mark(scheme: Scheme, h: float) -> float:
-    """Return a number that identifies a scheme's inner coordinates at a step size, or 0 without a processor."""
-    return 1.0 + zlib.crc32(repr((scheme.processor, h)).encode()) if scheme.processor else 0.0

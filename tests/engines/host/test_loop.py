@@ -76,7 +76,7 @@ def test_the_integrator_is_the_loop_bit_for_bit(pairing):
     for ours, theirs in zip(end, simulation.integrator.fullState()[1], strict=True):
         np.testing.assert_array_equal(theirs, ours)
     if scheme.processor:
-        for ours, theirs in zip(inner, simulation.integrator._propagator.sync.inner, strict=True):  # noqa: SLF001
+        for ours, theirs in zip(inner, simulation.integrator._propagator.sync.inner.state, strict=True):  # noqa: SLF001
             np.testing.assert_array_equal(theirs, ours)
     massive = np.concatenate([kind.particles.ravel() for kind in bodies.kinds])
     for ours, theirs in zip((bodies.positions, bodies.velocities), snapshot(simulation), strict=True):

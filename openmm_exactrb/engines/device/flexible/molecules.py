@@ -98,9 +98,19 @@ def found(context: Any, settings: Any) -> Found:
     if not len(whole.clusters) and fast is None:
         return Found(whole, whole, None)
     bodies = find_bodies(system, x, settings.named, box, pairs=True)
-    if fast is not None and fast.excerpt is not None:
-        fast = replace(fast, excerpt=replace(fast.excerpt, bodies=bodies))
-    return Found(bodies, whole, fast)
+    return Found(bodies, whole, _among(bodies, fast))
+
+
+def fast_of(system: openmm.System, whole: RigidBodies, bodies: RigidBodies, settings: Any) -> FastForces | None:
+    """Return the fast forces of a System with the present numbers of its forces; the bodies are those of `Found`."""
+    return _among(bodies, fast_forces(system, whole, settings.fast))
+
+
+def _among(bodies: RigidBodies, fast: FastForces | None) -> FastForces | None:
+    """Return fast forces that act on the bodies for the device engine."""
+    if fast is None or fast.excerpt is None:
+        return fast
+    return replace(fast, excerpt=replace(fast.excerpt, bodies=bodies))
 
 
 def served(context: Any, bodies: RigidBodies, fast: FastForces | None, settings: Any) -> Served:
