@@ -8,6 +8,7 @@ from typing import Any
 
 import openmm
 
+from openmm_exactrb.context.dipole_boxes import NAME, DipoleBoxes
 from openmm_exactrb.context.synchronisation import Synchronisation
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.free_motion import advancing
@@ -25,7 +26,10 @@ BAROSTATS = (
     "MonteCarloFlexibleBarostat",
     "MonteCarloMembraneBarostat",
 )
-_OURS = ("SoftDipoleForce", "GayBernePotential")  # names of PythonForces of this package, which have an energy
+#: Names of the potentials of this package, which conserve the energy and follow the periodic box.
+OURS = ("SoftDipoleForce", "GayBernePotential")
+#: Names of the potentials of this package, which conserve the energy and follow the periodic box.
+OURS = (NAME, "GayBernePotential")
 _THERMOSTAT, _REMOVER = "AndersenThermostat", "CMMotionRemover"
 #: Forces that change positions or velocities between steps, and therefore the energy.
 UPDATES = (_THERMOSTAT, _REMOVER, *BAROSTATS)
@@ -63,6 +67,7 @@ class ContextUpdates:
         self._couplings, self._named, self.lost = couplings(context), named, lost
         self._barostats = [force for force in self._couplings if not _is_thermostat(force)]
         self.has_thermostats = len(self._couplings) > len(self._barostats)
+        self._dipoles = DipoleBoxes(context.getSystem())
         self._advance = advancing()
         self._since_trial = [0] * len(self._barostats)  # updates since the last trial of each barostat
         self._frequencies: list[float] | None = None
@@ -82,20 +87,20 @@ class ContextUpdates:
         ------
         ValueError
             If a barostat would tear bodies apart, or has another temperature than the integrator, or both the System
-            and the integrator have a thermostat.
+            and the integrator have a thermostat, or dipoles have no valid energy in the present box.
         """
         frequencies = [frequency(force, context) for force in self._couplings]
         if frequencies != self._frequencies:
             acting = [force for force, rate in zip(self._couplings, frequencies, strict=True) if rate]
             barostats = [force for force in acting if not _is_thermostat(force)]
             _check_torn_bodies(context, barostats, self._named)
-            _check_dipoles_of_one_box(context, barostats)
             self._frequencies = frequencies
             self._waiting = 0  # steps since OpenMM last acted
             self.moves, self.pushes = bool(barostats), len(acting) > len(barostats)
             self.interval = math.gcd(*(force.getFrequency() for force in barostats))
             self._several |= len(barostats) > 1
             self.temperatures = {force.Temperature(): type(force).__name__ for force in acting}
+        self._dipoles.check(context, barostats=self.moves)
         if temperature is not None and self.temperatures:
             self._check_temperatures(context, temperature)
 
@@ -200,7 +205,7 @@ def conserve_energy(system: openmm.System) -> bool:
     class Force in Python, may do work.
     """
     return not any(
-        type(force) is openmm.Force or (isinstance(force, openmm.PythonForce) and force.getName() not in _OURS)
+        type(force) is openmm.Force or (isinstance(force, openmm.PythonForce) and force.getName() not in OURS)
         for force in system.getForces()
     )
 
@@ -269,16 +274,4 @@ def _check_torn_bodies(context: openmm.Context, barostats: list[Any], named: Seq
                 f"a barostat would tear apart body {number} (particles {listed(body)}), which OpenMM does "
                 "not treat as one molecule: join its particles by bonds, such as those of a HarmonicBondForce with k "
                 "= 0"
-            )
-
-
-def _check_dipoles_of_one_box(context: openmm.Context, barostats: list[Any]) -> None:
-    """Raise ValueError for dipole forces defined by formulas, which may silently become wrong if the box changes."""
-    for force in context.getSystem().getForces() if barostats else ():
-        formula = isinstance(force, openmm.CustomHbondForce | openmm.CustomCompoundBondForce)
-        if formula and force.getName() == _OURS[0] and force.usesPeriodicBoundaryConditions():
-            raise ValueError(
-                "a barostat changes the box, but dipoles with kernel='bonds' cannot adapt to another box, and those "
-                "with kernel='openmm' can adapt only while the box is wide enough: create the dipoles with "
-                "kernel='compiled', or remove the barostat from the System"
             )

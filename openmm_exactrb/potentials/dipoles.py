@@ -11,6 +11,7 @@ import numpy as np
 import openmm
 
 from openmm_exactrb import kernels
+from openmm_exactrb.context.dipole_boxes import NAME, SHORTEST, WRITTEN_FOR
 from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.potentials.boundaries import OPEN, Boundary, Ewald, Images, check_cutoff, checked, edges_of
 from openmm_exactrb.potentials.formula import soft_dipole_bonds, soft_dipole_hbonds
@@ -71,8 +72,8 @@ def soft_dipole_force(
     kernel : {"auto", "openmm", "bonds", "compiled"}
         Type of the force. "auto" or "compiled": a kernel in double precision on all cores, the fastest on a CPU.
         "openmm": a `CustomHbondForce` if there is a cutoff, which OpenCL, CUDA and HIP evaluate on the device. "bonds":
-        a `CustomCompoundBondForce` with a bond for each pair, which is faster on Reference and supports cutoffs up to
-        half the box. `Ewald` needs the compiled kernel.
+        a `CustomCompoundBondForce` with a bond for each pair, which supports cutoffs up to half the box, also on these
+        devices. `Ewald` needs the compiled kernel.
 
     Returns
     -------
@@ -90,11 +91,14 @@ def soft_dipole_force(
 
     Notes
     -----
-    With "bonds", the box is given by the Context parameters `box_x`, `box_y` and `box_z`, which a barostat does not
-    change. The compiled kernel and the `CustomHbondForce` use the box of the Context. The `CustomHbondForce` moves
-    centres and tips to their nearest images individually. This requires the condition on cutoff + 2 length, which is
-    not checked again if the box shrinks. With "bonds" and "openmm", the integrators of this package raise a ValueError
-    if there is a barostat.
+    All three types use the box of the Context. The box must be rectangular with "bonds" and the compiled kernel. With
+    "bonds", the formula measures the edges of the box. They must be from 0.62 to 2.1 times the Context parameters
+    `box_x`, `box_y` and `box_z`, which are initially the argument `box`, and at least the Context parameter
+    `shortest_edge`, which is twice the longest cutoff. Otherwise the energy is nan. For a much larger or smaller box,
+    set `box_x`, `box_y` and `box_z` to its edges. The `CustomHbondForce` moves centres and tips to their nearest images
+    individually, and is silently wrong if an edge is less than its Context parameter `shortest_edge`, 2 (cutoff + 2
+    length). In a box in which a force is not valid, the integrators of this package raise a ValueError. With "openmm",
+    they also raise a ValueError if there is a barostat.
 
     XmlSerializer writes the compiled kernel's settings with pickle, as for every PythonForce.
     """
@@ -111,12 +115,15 @@ def soft_dipole_force(
         force.setUsesPeriodicBoundaryConditions(boundary.periodic)
     elif kernel == "openmm" and truncation is not None and edges is not None and spheres is not None:
         _check_tips(truncation[0], float(length), edges)
+        parameters[SHORTEST] = 2.0 * max(truncation[0] + 2.0 * float(length), spheres.cutoff)
         force = soft_dipole_hbonds(arrows, parameters, truncation, spheres, wca=wca)
     else:
-        places = {f"box_{axis}": edge for axis, edge in zip("xyz", edges or (), strict=False)}
-        force = soft_dipole_bonds(arrows, parameters | places, truncation, spheres, wca=wca)
+        if truncation is not None and edges is not None and spheres is not None:
+            parameters |= zip(WRITTEN_FOR, edges, strict=True)
+            parameters[SHORTEST] = 2.0 * max(truncation[0], spheres.cutoff)
+        force = soft_dipole_bonds(arrows, parameters, truncation, spheres, wca=wca)
         force.setUsesPeriodicBoundaryConditions(boundary.periodic)
-    force.setName("SoftDipoleForce")
+    force.setName(NAME)
     return force
 
 

@@ -1,4 +1,12 @@
-"""Soft dipoles as formulas for OpenMM: a bond for each pair, or donors and acceptors within a cutoff."""
+"""Soft dipoles as formulas for OpenMM: a bond for each pair, or donors and acceptors within a cutoff.
+
+The formula of a bond needs the vector between two nearest images, but OpenMM's formulas contain neither the box nor a
+periodic vector. They contain the distance of the nearest images of two points. Along an axis, a point at a, with a
+between half an edge and an edge, is at a distance of edge - a from the image of the origin. The formula measures the
+edges of the present box in this way, by means of two such points for each edge. A third distance, which depends on all
+edges, shows whether the measurement holds. It fails in triclinic boxes and in boxes that are much smaller or larger
+than the box for which the formula was written.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +15,17 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import openmm
 
+from openmm_exactrb.context.dipole_boxes import EDGES, ROUNDOFF, SHORTEST, WRITTEN_FOR
 from openmm_exactrb.potentials.boundaries import Truncation
 from openmm_exactrb.potentials.spheres import SphereCutoff
+
+# Two points along an axis, in units of an edge of the box for which a formula is written, measure edges from _NEAR to
+# 2 _NEAR and from _FAR to 2 _FAR. The second point is used if the image of the origin nearest to the first one is
+# farther away than _CHANGE times the first one, and results are used only in the range of `EDGES`.
+_NEAR, _FAR, _CHANGE = 0.6, 1.08, 0.9
+# A point at this part of the edges is nearest to the opposite corner. Its distance to this corner confirms the edges to
+# within _SAME times the diagonal.
+_PART, _SAME = 0.51, 1e-5
 
 
 def soft_dipole_bonds(
@@ -22,16 +39,22 @@ def soft_dipole_bonds(
     """Return the potential of `soft_dipole_force` as a force with a bond for each pair.
 
     With a truncation of the dipoles (cutoff and switch in nm, strength of the reaction field in 1/nm³) and of the
-    spheres, the Context parameters include the edges of the box, box_x, box_y and box_z. In OpenMM, a formula with
-    products of coordinates, one reciprocal and one square root is three times as fast as the same energy in terms of
-    `distance` or powers of r.
+    spheres, the Context parameters include the shortest edge, and the edges of the box for which the formula is
+    written. The energy is nan in a box for which `DipoleBoxes` raises an error. In OpenMM, a formula with products of
+    coordinates, one reciprocal and one square root is three times as fast as the same energy in terms of `distance` or
+    powers of r.
     """
+    energy = _energy(_core(attracts="soft_attraction" in parameters, wca=wca), truncation, spheres)
+    if truncation is None or spheres is None:
+        images = "r2 = x*x + y*y + z*z; x = x1 - x3; y = y1 - y3; z = z1 - z3;"
+    else:
+        energy, images = f"known*E; E = {energy}", f"r2 = r*r; r = distance(p1, p3); {_nearest_images()}"
     force = openmm.CustomCompoundBondForce(
         4,
-        f"{_energy(_core(attracts='soft_attraction' in parameters, wca=wca), truncation, spheres)}"
+        f"{energy}"
         "uv = ux*vx + uy*vy + uz*vz; ur = ux*x + uy*y + uz*z; vr = vx*x + vy*y + vz*z;"
-        "i3 = i*sqrt(i); i = 1/r2; r2 = x*x + y*y + z*z;"
-        f"{_displacement(periodic=truncation is not None)}"
+        "i3 = i*sqrt(i); i = 1/r2;"
+        f"{images}"
         "ux = x2 - x1; uy = y2 - y1; uz = z2 - z1;"
         "vx = x4 - x3; vy = y4 - y3; vz = z4 - z3",
     )
@@ -135,8 +158,34 @@ def _switch(S: str, cutoff: float, switch: float) -> str:
     )
 
 
-def _displacement(*, periodic: bool) -> str:
-    """Return the formula of the vector from the second centre to the first, or to its nearest image."""
-    if not periodic:
-        return "x = x1 - x3; y = y1 - y3; z = z1 - z3;"
-    return "".join(f"{x} = d{x} - box_{x}*floor(d{x}/box_{x} + 0.5); d{x} = {x}1 - {x}3;" for x in ("x", "y", "z"))
+def _nearest_images() -> str:
+    """Return the formula of the vector from the second centre to the nearest image of the first.
+
+    The formula also defines `known`, which is 1, or nan if the edges of the present box are not known.
+    """
+    axes = ("x", "y", "z")
+    vector = "".join(f"{x} = d{x} - edge_{x}*floor(d{x}/edge_{x} + 0.5); d{x} = {x}1 - {x}3;" for x in axes)
+    edges = [f"edge_{x}" for x in axes]
+    in_range = [
+        f"step({x} - {EDGES[0]}*{a})*step({EDGES[1]}*{a} - {x})*step({x} - {1.0 - ROUNDOFF!r}*{SHORTEST})"
+        for x, a in zip(edges, WRITTEN_FOR, strict=True)
+    ]
+    corner = ",".join(f"{_PART}*{x}" for x in edges)
+    return (
+        f"{vector}known = sqrt(2*same*{'*'.join(in_range)} - 1);"
+        f"same = step({_SAME}*diagonal - abs(pointdistance({corner},0,0,0) - {1.0 - _PART}*diagonal));"
+        f"diagonal = sqrt({' + '.join(f'{x}*{x}' for x in edges)});{''.join(map(_edge, axes))}"
+    )
+
+
+def _edge(x: str) -> str:
+    """Return the formula of an edge of the present box."""
+
+    def to_image(a: str) -> str:
+        return f"pointdistance({','.join(a if axis == x else '0' for axis in 'xyz')},0,0,0)"
+
+    return (
+        f"edge_{x} = select(step(from_near_{x} - {_CHANGE}*near_{x}), far_{x} + {to_image(f'far_{x}')},"
+        f"near_{x} + from_near_{x}); from_near_{x} = {to_image(f'near_{x}')};"
+        f"near_{x} = {_NEAR}*box_{x}; far_{x} = {_FAR}*box_{x};"
+    )

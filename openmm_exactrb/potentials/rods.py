@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import openmm
 
+from openmm_exactrb.context.dipole_boxes import NAME, SHORTEST
 from openmm_exactrb.potentials.boundaries import Edges, Ewald, edges_of
 from openmm_exactrb.potentials.dipoles import checked_pairs, context_parameters, spheres_of
 from openmm_exactrb.potentials.ewald import mean_distance
@@ -108,10 +109,11 @@ def dipole_rod_forces(
         charges.addException(plus, minus, 0.0, 1.0, 0.0)
     attracts = "soft_attraction" in parameters
     energy = soft_rod_energy((cutoff, switch, 0.0), spheres, coupling, length, attracts=attracts, wca=wca)
+    parameters[SHORTEST] = 2.0 * max(cutoff + length, spheres.cutoff)
     near = openmm.CustomHbondForce(energy)
     middle_and_plus = [(centre, plus) for centre, (plus, _) in zip(centres, rods, strict=True)]
     add_hbonds(near, middle_and_plus, parameters, max(cutoff, spheres.cutoff))
-    near.setName("SoftDipoleForce")
+    near.setName(NAME)
     return charges, near
 
 

@@ -3,11 +3,12 @@
 import numpy as np
 import openmm
 import pytest
+from openmm import app
 
 import openmm_exactrb as rb
 from force_laws import assert_lawful, evaluated, positions_of
 from soft_dipoles import FIELD, arrows, assert_same, fluid
-from starts import context_of
+from starts import REFERENCE, context_of
 
 OPEN = {}
 KERNELS = ("bonds", "compiled")
@@ -103,17 +104,142 @@ def test_a_cutoff_whose_tips_have_other_nearest_images_is_refused():
                 rb.soft_dipole_force([(0, 1)], **asked)
 
 
-@pytest.mark.parametrize(
-    ("kernel", "boundary"),
-    [("openmm", WIDE["boundary"]), ("bonds", rb.ReactionField()), ("openmm", rb.Ewald(tolerance=1e-3))],
-)
-def test_a_barostat_is_refused_where_the_formula_needs_its_box(kernel, boundary):
-    _, system, positions = rb.dipole_fluid(64, density=0.4, boundary=boundary, kernel=kernel)
+@pytest.mark.parametrize("boundary", [WIDE["boundary"], rb.Ewald(tolerance=1e-3)])
+def test_a_barostat_is_refused_where_the_formula_needs_a_wide_box(boundary):
+    _, system, positions = rb.dipole_fluid(64, density=0.4, boundary=boundary, kernel="openmm")
     system.addForce(openmm.MonteCarloBarostat(1.0, 100.0))
     integrator = rb.ExactRigidBodyIntegrator(0.004)
     _context = context_of(system, integrator, positions)
     with pytest.raises(ValueError, match=r"a barostat changes the box, .* with kernel='compiled'"):
         integrator.step(1)
+
+
+# -- other boxes ------------------------------------------------------------------------------------------------------
+
+SHORT = {"density": 0.4, "boundary": rb.ReactionField(cutoff=1.3), "sphere_cutoff": 1.5, "perturbation": 0.1}
+PRECISIONS = [
+    pytest.param("Reference", {}, 1e-12, id="Reference"),
+    pytest.param("CPU", {}, 1e-12, id="CPU"),
+    pytest.param("OpenCL", {"Precision": "double"}, 1e-12, marks=pytest.mark.opencl, id="OpenCL double"),
+    pytest.param("OpenCL", {"Precision": "single"}, 2e-5, marks=pytest.mark.opencl, id="OpenCL single"),
+]
+
+
+def shaken(kernel, platform="Reference", properties=None, integrator=None, n=40):
+    """Return the Context of a dilute fluid, its positions (n, 5, 3) and the edge of its box."""
+    _, system, positions = rb.dipole_fluid(n, attraction=1.0, kernel=kernel, **SHORT)
+    integrator = integrator or openmm.VerletIntegrator(0.001)
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform(platform), properties or {})
+    return context, positions._value.reshape(n, -1, 3), (n / 0.4) ** (1.0 / 3.0)
+
+
+def in_box(context, x, box, images=2):
+    """Return energy and forces in another box, with molecules at the same places relative to its edges.
+
+    Molecules are in up to this many images.
+    """
+    rng = np.random.default_rng(3)
+    edge = context.getSystem().getDefaultPeriodicBoxVectors()[0][0]._value
+    moved = x.mean(axis=1, keepdims=True) @ (box / edge - np.eye(3))
+    moved += rng.integers(-images, images + 1, (len(x), 1, 3)) @ box
+    context.setPeriodicBoxVectors(*box)
+    context.setPositions((x + moved).reshape(-1, 3))
+    return evaluated(context)
+
+
+@pytest.mark.parametrize(("platform", "properties", "tolerance"), PRECISIONS)
+def test_bonds_follow_the_box_of_any_context(platform, properties, tolerance):
+    """Nobody tells the force of the box, so that every integrator, barostat, State and minimiser is served."""
+    (bonds, x, edge), (compiled, _, _) = shaken("bonds", platform, properties), shaken("compiled")
+    edges = [
+        (1.0, 1.0, 1.0),
+        (0.98, 1.0, 1.3),
+        (0.9, 0.8, 0.7),
+        (1.0 / 1.4, 2.09, 1.0),
+        (1.13, 1.14, 1.15),
+        (1.0, 2.0, 1.5),
+    ]
+    edges += np.random.default_rng(4).uniform(0.75, 2.09, (6, 3)).tolist()
+    for factors in edges:
+        box, images = edge * np.diag(factors), 2 * (tolerance < 1e-6)  # of which single precision loses digits
+        found, expected = (in_box(context, x, box, images) for context in (bonds, compiled))
+        assert found[0] == pytest.approx(expected[0], rel=tolerance, abs=tolerance)
+        np.testing.assert_allclose(found[1], expected[1], rtol=0.0, atol=max(1e-8, tolerance * abs(expected[1]).max()))
+
+
+@pytest.mark.parametrize(("platform", "properties", "tolerance"), PRECISIONS)
+def test_where_bonds_do_not_know_the_box_their_energy_is_no_number(platform, properties, tolerance):
+    bonds, x, edge = shaken("bonds", platform, properties)
+    wrong = [
+        (0.5, 0.5, 0.5),
+        (1 / 3, 1 / 3, 1 / 3),
+        (0.61, 1.0, 1.0),
+        (1.0, 0.3, 1.0),
+        (2.11, 1.0, 1.0),
+        (3.0, 3.0, 3.0),
+    ]
+    wrong += [(0.641, 1.0, 1.0), (0.6, 0.7, 2.2), (4.0, 0.25, 1.0), (10.0, 10.0, 10.0)]  # the first is too small a box
+    assert all(np.isnan(in_box(bonds, x, edge * np.diag(factors))[0]) for factors in wrong)
+    for name in ("box_x", "box_y", "box_z"):
+        bonds.setParameter(name, 3.0 * edge)
+    found, expected = (in_box(context, x, 3.0 * edge * np.eye(3), 0) for context in (bonds, shaken("compiled")[0]))
+    assert found[0] == pytest.approx(expected[0], rel=tolerance, abs=tolerance)
+
+
+@pytest.mark.parametrize("tilt", [1e-3, 0.02, 0.3, -0.5])
+@pytest.mark.parametrize("place", [(1, 0), (2, 0), (2, 1)])
+def test_bonds_refuse_a_triclinic_box(tilt, place):
+    integrator = rb.ExactRigidBodyLangevinIntegrator(100.0, 1.0, 0.002)
+    context, x, edge = shaken("bonds", integrator=integrator)
+    box = edge * np.eye(3)
+    box[place] = tilt * edge
+    energy, _ = in_box(context, x, box)
+    assert np.isnan(energy)
+    with pytest.raises(ValueError, match="need a rectangular box: set orthogonal box vectors"):
+        integrator.step(1)
+
+
+@pytest.mark.parametrize(
+    ("kernel", "scale", "message"),
+    [
+        ("bonds", 3.0, r"edges from 0.62 to 2.1 times .* not 3 times: set these parameters"),
+        ("bonds", 0.6, r"edges of at least 3 nm, not 2.78\d* nm: use a larger box"),
+        ("openmm", 0.9, r"edges of at least 4.6 nm, not 4.17\d* nm: use a larger box, or .* shorter cutoffs"),
+    ],
+)
+@pytest.mark.parametrize("ours", [True, False])
+def test_a_box_in_which_a_formula_is_wrong_is_refused(kernel, scale, message, ours, tmp_path):
+    """By our integrators at the next step, and with one of OpenMM's by the reporter of averages."""
+    kind = rb.ExactRigidBodyLangevinIntegrator if ours else openmm.LangevinMiddleIntegrator
+    integrator = kind(100.0, 1.0, 0.002)
+    topology, system, positions = rb.dipole_fluid(40, attraction=1.0, kernel=kernel, **SHORT)
+    simulation = app.Simulation(topology, system, integrator, REFERENCE)
+    simulation.context.setPositions(positions)
+    simulation.step(ours)
+    simulation.context.setPeriodicBoxVectors(*(scale * 100.0 ** (1.0 / 3.0) * np.eye(3)))
+    simulation.reporters += [] if ours else [rb.AverageReporter(tmp_path / "averages.csv", 1)]
+    with pytest.raises(ValueError, match=message):
+        simulation.step(1)
+
+
+def test_a_barostat_moves_bonds_as_it_moves_the_compiled_kernel():
+    boxes = []
+    for kernel in KERNELS:
+        _, system, positions = rb.dipole_fluid(40, attraction=1.0, kernel=kernel, **SHORT)
+        barostat = openmm.MonteCarloBarostat(60.0, 100.0, 1)
+        barostat.setRandomNumberSeed(5)
+        system.addForce(barostat)
+        integrator = rb.ExactRigidBodyLangevinIntegrator(100.0, 5.0, 0.004)
+        integrator.setRandomNumberSeed(2)
+        context = context_of(system, integrator, positions)
+        context.setVelocitiesToTemperature(100.0, 1)
+        volumes = []
+        for _ in range(20):
+            integrator.step(1)
+            volumes.append(context.getState().getPeriodicBoxVolume()._value)
+        boxes.append(volumes)
+    assert len(set(boxes[0])) > 5
+    np.testing.assert_allclose(*boxes, rtol=1e-12)
 
 
 def test_the_trajectory_is_the_same_to_roundoff_growth():
