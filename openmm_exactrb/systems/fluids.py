@@ -15,6 +15,7 @@ from openmm_exactrb.mathematics import quaternions
 from openmm_exactrb.openmm_access.units import stripped
 from openmm_exactrb.potentials import Ewald, dipole_rod_forces, dipole_strength, rod_length, soft_dipole_force
 from openmm_exactrb.potentials.boundaries import OPEN, Boundary, checked
+from openmm_exactrb.potentials.spheres import cutoff_in
 from openmm_exactrb.potentials.spheres import long_range_correction as correction_of
 from openmm_exactrb.support import checks
 from openmm_exactrb.support.messages import shown
@@ -145,7 +146,8 @@ def dipole_fluid(
         Whether to subtract the energy of two spheres at the cutoff from their energy.
     long_range_correction : bool, optional
         Whether a second force adds the long-range correction of energy and pressure. By default this force is added in
-        a periodic box, unless the potential is shifted or truncated at its minimum (`wca`).
+        a periodic box, unless the potential is shifted or truncated at its minimum (`wca`), or the cutoff of the
+        spheres is within their diameter `sigma`, where the correction is not defined.
     kernel : {"auto", "openmm", "bonds", "compiled"}
         Type of the force; see `soft_dipole_force`. With `Ewald`, "openmm" uses the two forces of
         `openmm_exactrb.potentials.dipole_rod_forces`, which OpenMM evaluates on the device, and which reach a tolerance
@@ -191,7 +193,7 @@ def dipole_fluid(
     added = [add_molecule(system, topology, chain, "DIP", mass, sites, places) for _ in range(n)]
     for part in _sphere_forces(added, system.getNumParticles(), rod, kernel, law | field):
         system.addForce(part)
-    if long_range_correction if long_range_correction is not None else box is not None and not (shifted or wca):
+    if _is_corrected(edges, law) if long_range_correction is None else long_range_correction:
         system.addForce(correction_of(n, edges, **law))
     if box is not None:
         spacing = box / places_a_side(n)
@@ -227,6 +229,13 @@ def _sphere_forces(
         return [soft_dipole_force(arrows, length=0.5 * spheres["sigma"], kernel=kernel, **spheres)]
     ends, centres = [(plus, minus) for plus, minus, *_ in added], [centre for *_, centre, _ in added]
     return dipole_rod_forces(ends, particles, length=rod, centres=centres, **spheres)
+
+
+def _is_corrected(edges: Sequence[float] | None, law: Mapping[str, Any]) -> bool:
+    """Return whether spheres have a long-range correction by default."""
+    sigma, shifted = law["sigma"], law["shifted"]
+    spheres = cutoff_in(edges, sigma, law["sphere_cutoff"], law["sphere_switch"], shifted=shifted)
+    return spheres is not None and spheres.cutoff > sigma and not (shifted or law["wca"])
 
 
 def _turned(rng: np.random.Generator, centres: Array, shape: Array) -> unit.Quantity:

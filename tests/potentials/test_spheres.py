@@ -1,5 +1,7 @@
 """The cutoff of the spheres belongs to the model: no tolerance, kernel or boundary of the dipoles changes it."""
 
+import itertools
+
 import numpy as np
 import openmm
 import pytest
@@ -35,23 +37,31 @@ def switch(r, cutoff, begin):
     return betainc(7.0, 7.0, s), -2.0 * r / (cutoff**2 - begin**2) * (s * (1.0 - s)) ** 6 / beta(7.0, 7.0)
 
 
-def spheres(r, cutoff, begin, *, shifted):
+def lennard_jones(r, sigma=1.0, epsilon=1.0, attraction=1.0):
+    """Return energy and derivative of two whole spheres at distances r."""
+    repulsion, attracts = 4.0 * epsilon * (sigma / r) ** 12, 4.0 * epsilon * attraction * (sigma / r) ** 6
+    return repulsion - attracts, (-12.0 * repulsion + 6.0 * attracts) / r
+
+
+def spheres(r, cutoff, begin, *, shifted, **law):
     """Return energy and derivative of two spheres at distances r."""
-    u, du = 4.0 * (r**-12 - r**-6), 4.0 * (-12.0 * r**-13 + 6.0 * r**-7)
-    u = u - shifted * 4.0 * (cutoff**-12.0 - cutoff**-6.0)
+    u, du = lennard_jones(r, **law)
+    u = u - shifted * lennard_jones(cutoff, **law)[0]
     S, dS = switch(r, cutoff, begin)
     return S * u, S * du + dS * u
 
 
-def correction(n, cutoff, begin, *, shifted):
-    """Return energy times volume of what the cutoff takes from spheres that are uniformly distributed."""
+def correction(n, cutoff, begin, *, shifted, sigma=1.0, **law):
+    """Return energy times volume of what the cutoff takes from all pairs of spheres that never overlap."""
 
     def left_out(r):
-        return (4.0 * (r**-12 - r**-6) - spheres(r, cutoff, begin, shifted=shifted)[0]) * r**2
+        return (
+            lennard_jones(r, sigma, **law)[0] - spheres(r, cutoff, begin, shifted=shifted, sigma=sigma, **law)[0]
+        ) * r**2
 
-    inner = shifted * 4.0 * (cutoff**-12.0 - cutoff**-6.0) * begin**3 / 3.0  # up to the switch the shift alone
-    middle = quad(left_out, begin, cutoff, epsabs=1e-13)[0]
-    return 2.0 * np.pi * n**2 * (inner + middle + 4.0 * (cutoff**-9.0 / 9.0 - cutoff**-3.0 / 3.0))
+    ends = [sigma, *(r for r in (begin, cutoff) if r > sigma), np.inf]
+    parts = [quad(left_out, *part, epsabs=1e-13, epsrel=1e-12)[0] for part in itertools.pairwise(ends)]
+    return 2.0 * np.pi * n * (n - 1) * sum(parts)
 
 
 def distances(centres, edge):
@@ -170,6 +180,51 @@ def test_what_lies_beyond_hardly_depends_on_the_cutoff():
     full = [energy_of(512, FIELD, **own)[0] for own in settings]
     bare = [energy_of(512, FIELD, long_range_correction=False, **own)[0] for own in settings]
     assert np.ptp(full) < 0.2 * np.ptp(bare)
+
+
+@pytest.mark.parametrize(
+    ("n", "density", "law", "cutoff", "begin", "shifted"),
+    [
+        (2, 0.001, {}, 3.0, 2.25, False),
+        (2, 0.1, {}, 1.2, 0.9, False),
+        (3, 0.03, {"attraction": 0.0}, 1.01, 0.1, False),
+        (5, 0.05, {"epsilon": 2.5}, 1.3, 1.0, True),
+        (8, 0.8, {}, 1.05, 0.2, True),
+        (27, 0.5, {"attraction": 0.4}, 1.5, 1.3, False),
+        (27, 40.0, {"sigma": 0.25, "epsilon": 0.7}, 0.4, 0.2, True),
+        (64, 0.02, {"sigma": 2.5, "attraction": 1.3}, 5.0, 2.0, False),
+        (125, 0.7, {}, 2.5, 2.49, False),
+    ],
+)
+def test_the_correction_is_the_quadrature_over_pairs_beyond_the_diameter(n, density, law, cutoff, begin, shifted):
+    options = {"density": density, "sphere_cutoff": cutoff, "sphere_switch": begin, "shifted": shifted} | law
+    with_it, without = (energy_of(n, FIELD, long_range_correction=on, **options)[0] for on in (True, False))
+    expected = correction(n, cutoff, begin, shifted=shifted, **law) * density / n
+    assert with_it - without == pytest.approx(expected, rel=1e-10, abs=1e-12 * abs(without))
+
+
+@pytest.mark.parametrize("boundary", [FIELD, rb.Ewald()], ids=["field", "Ewald"])
+@pytest.mark.parametrize(
+    ("n", "options"),
+    [
+        *((n, {}) for n in (1, 2, 3, 4, 6)),
+        *((64, {"sphere_cutoff": cutoff}) for cutoff in (0.5, 0.99, 1.0)),
+        (27, {"sigma": 0.3, "density": 2.0, "sphere_cutoff": 0.25}),
+        (2, {"attraction": 0.0, "density": 0.26}),
+    ],
+)
+def test_within_the_diameter_nothing_is_corrected(n, options, boundary):
+    """Asked for or not: there g(r) is not 1."""
+    names = [
+        [
+            force.getName()
+            for force in rb.dipole_fluid(n, boundary=boundary, **STOCKMAYER | options | asked)[1].getForces()
+        ]
+        for asked in ({}, {"long_range_correction": False})
+    ]
+    assert names == 2 * [["SoftDipoleForce"]]
+    with pytest.raises(ValueError, match=r"correction needs a sphere_cutoff beyond the diameter .* or omit"):
+        rb.dipole_fluid(n, boundary=boundary, long_range_correction=True, **STOCKMAYER | options)
 
 
 def test_other_platforms_and_integrators_have_the_same_energy():
