@@ -16,9 +16,11 @@ import openmm
 from numpy.typing import NDArray
 
 from openmm_exactrb.averages.dynamics import Dynamics
+from openmm_exactrb.averages.virial import check_virial
+from openmm_exactrb.context.dipole_boxes import DipoleBoxes
 from openmm_exactrb.mechanics.state import BodyState
 from openmm_exactrb.multiple_time_steps.fast_forces import FastForces
-from openmm_exactrb.openmm_access import arrays
+from openmm_exactrb.openmm_access import arrays, parameters
 from openmm_exactrb.openmm_access.molecules import molecule_of
 from openmm_exactrb.openmm_access.units import gas_constant_times
 from openmm_exactrb.support import checks
@@ -27,7 +29,7 @@ from openmm_exactrb.support.types import Array
 #: An observable of the positions (n_particles, 3) of all particles, in nm.
 Observable = Callable[[Array], float]
 
-# The relative change of lengths in the difference quotients for the pressure.
+# The largest relative change of lengths in the difference quotients for the pressure.
 _STRETCH = 1e-3
 # The largest displacement of a particle (nm) in the difference quotients for slopes of observables.
 _SHIFT = 1e-4
@@ -62,6 +64,8 @@ class Frames:
             self._inner[dynamics.fast.excerpt.part.columns] = True
         self._scaled = _ScaledContext(simulation, dynamics, self._kT) if pressure else None
         self._sites = _VirtualSites(simulation.system)
+        #: The number of molecules with frozen particles, which are not counted in the pressure; 0 without pressure.
+        self.frozen = 0 if self._scaled is None else self._scaled.frozen
 
     def row(self, state: openmm.State, observables: Mapping[str, Observable]) -> list[float]:
         """Return the values of the columns that follow the time, for a State with energy, forces and positions."""
@@ -205,10 +209,15 @@ class _FastContext:
         return forces
 
 
+#: A potential energy, generalised forces and torques.
+_Scaled = tuple[Any, ...]
+
+
 class _ScaledContext:
     """Energies and forces in boxes of other sizes, with molecules moved as a barostat would move them.
 
-    A molecule's centre is the mean position of its particles, as for OpenMM's barostats.
+    A molecule's centre is the mean position of its particles, as for OpenMM's barostats. The centre of a molecule with
+    frozen particles is the mean position of these. Such a molecule has no kinetic pressure.
     """
 
     def __init__(self, simulation: Any, dynamics: Dynamics, kT: float) -> None:
@@ -218,19 +227,26 @@ class _ScaledContext:
             raise ValueError(
                 "a System without a periodic box has no pressure: create the AverageReporter with pressure=False"
             )
+        self._molecule = molecule_of(context, dynamics.named)
+        held = _frozen(system)
+        frozen = np.bincount(self._molecule, held) > 0.0
+        weights = np.where(frozen[self._molecule], held, 1.0)
+        self._weights = weights / np.bincount(self._molecule, weights)[self._molecule]
+        self._of_bodies = self._molecule[dynamics.bodies.first_particle]
+        self.molecules = len(frozen)
+        self.frozen = int(np.count_nonzero(frozen))
+        self._ideal = (self.molecules - self.frozen) * kT
+        check_virial(context, self._molecule, self._centres)
         platform = context.getPlatform()
         properties = {name: platform.getPropertyValue(context, name) for name in platform.getPropertyNames()}
         kept = {name: value for name, value in properties.items() if name in ("Precision", "Threads", "DeviceIndex")}
         self._own = openmm.Context(system, openmm.VerletIntegrator(0.001), platform, kept)
-        self._molecule = molecule_of(context, dynamics.named)
-        self._sizes = np.bincount(self._molecule)
-        self._of_bodies = self._molecule[dynamics.bodies.first_particle]
-        self.molecules = len(self._sizes)
-        self._ideal = self.molecules * kT
+        self._boxes = DipoleBoxes(system)
+        self._may_shrink = True
 
     def _centres(self, x: Array) -> Array:
-        """Return the means (molecules, 3) of vectors x (n_particles, 3) over the particles of each molecule."""
-        return np.stack([np.bincount(self._molecule, column) for column in x.T], axis=1) / self._sizes[:, None]
+        """Return the means (molecules, 3) of vectors x (n_particles, 3) over the particles that define the centres."""
+        return np.stack([np.bincount(self._molecule, self._weights * column) for column in x.T], axis=1)
 
     def pressure(
         self,
@@ -246,33 +262,56 @@ class _ScaledContext:
         -w·df/dl - sum F·c, where f is the generalised force, F is the force on a molecule, and c is the velocity of its
         centre in the field.
         """
-        x, volume = arrays.positions(state), state.getPeriodicBoxVolume()._value
+        volume = state.getPeriodicBoxVolume()._value
         arrays.take_parameters(self._own, self._context.getState(parameters=True))
-        (up, f_up), (down, f_down) = (
-            self._at(state, x, of_bodies, 1.0 + s, generalised) for s in (_STRETCH, -_STRETCH)
-        )
+
+        def at(scale: float) -> _Scaled:
+            return self._at(state, of_bodies, scale, generalised)
+
+        of_energy, *of_forces = self._derivatives((state.getPotentialEnergy()._value, *total), at)
         per_length = BAR / (3.0 * volume)
         force = np.zeros((self.molecules, 3))
         np.add.at(force, self._of_bodies, total.force.T)
         slopes = []
         for field in fields:
-            change = sum(float((w * (a - b)).sum()) for w, a, b in zip(field.bodies, f_up, f_down, strict=True))
-            slopes.append(
-                per_length * (change / (2.0 * _STRETCH) + float((force * self._centres(field.particles)).sum()))
-            )
-        return [BAR * self._ideal / volume - per_length * (up - down) / (2.0 * _STRETCH), *slopes]
+            change = sum(float((w * f).sum()) for w, f in zip(field.bodies, of_forces, strict=True))
+            slopes.append(per_length * (change + float((force * self._centres(field.particles)).sum())))
+        return [BAR * self._ideal / volume - per_length * of_energy, *slopes]
+
+    def _derivatives(self, here: _Scaled, at: Callable[[float], _Scaled]) -> _Scaled:
+        """Return the derivatives by the scale at 1 of a potential energy, forces and torques.
+
+        They are known at the scale 1. If half the edges of a smaller box are less than a cutoff, the box only grows.
+        """
+        if self._may_shrink:
+            try:
+                down = at(1.0 - _STRETCH)
+            except (openmm.OpenMMException, ValueError):  # errors with another cause recur in the larger boxes
+                self._may_shrink = False
+            else:
+                up = at(1.0 + _STRETCH)
+                return tuple((u - d) / (2.0 * _STRETCH) for u, d in zip(up, down, strict=True))
+        near, far = at(1.0 + 0.5 * _STRETCH), at(1.0 + _STRETCH)
+        return tuple((4.0 * n - 3.0 * h - f) / _STRETCH for h, n, f in zip(here, near, far, strict=True))
 
     def _at(
         self,
         state: openmm.State,
-        x: Array,
         of_bodies: BodyState,
         scale: float,
         generalised: Callable[[BodyState, Array], Force],
-    ) -> tuple[float, Force]:
+    ) -> _Scaled:
         """Return the potential energy and the generalised force in a box with scaled lengths."""
+        x = arrays.positions(state)
         self._own.setPeriodicBoxVectors(*(scale * np.reshape(arrays.box(state), (3, 3))))
+        self._boxes.check(self._own)
         self._own.setPositions(x + (scale - 1.0) * self._centres(x)[self._molecule])
         self._own.computeVirtualSites()
         found = self._own.getState(energy=True, forces=True)
-        return found.getPotentialEnergy()._value, generalised(of_bodies, arrays.forces(found))
+        return found.getPotentialEnergy()._value, *generalised(of_bodies, arrays.forces(found))
+
+
+def _frozen(system: openmm.System) -> Array:
+    """Return 1 for each frozen particle, which has no mass and is no virtual site, and 0 for others (n_particles,)."""
+    masses = parameters.masses(system)
+    return np.array([float(not mass and not system.isVirtualSite(i)) for i, mass in enumerate(masses)])

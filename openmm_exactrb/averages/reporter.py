@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 import weakref
@@ -23,6 +24,8 @@ from openmm_exactrb.support.files import written_whole
 from openmm_exactrb.support.messages import shown
 from openmm_exactrb.support.stable_text import digest
 
+_log = logging.getLogger("openmm_exactrb")
+
 
 class AverageReporter:
     """Write the data for `corrected` and `pressure_offset` to a CSV file, with all digits.
@@ -36,7 +39,8 @@ class AverageReporter:
         Number of steps between two frames. Error estimates account for correlations between frames.
     pressure : bool, optional
         Whether to store the molecular pressure and its slope, which costs two more evaluations of energy and forces per
-        frame. Corrections at constant pressure and `pressure_offset` need this pressure.
+        frame. Corrections at constant pressure and `pressure_offset` need this pressure. All forces must follow the
+        periodic box: see Notes.
     observables : mapping of str to callable, optional
         Functions that return a number for the positions, an array (n_particles, 3) in nm with whole molecules. These
         functions are also evaluated at displaced positions, to compute the slopes that the corrections need.
@@ -54,6 +58,11 @@ class AverageReporter:
     After a change of forces with ``updateParametersInContext``, create a new reporter with another file. The Simulation
     must use an `openmm_exactrb.ExactRigidBodyLangevinIntegrator` with one heat exchange per step, or OpenMM's
     LangevinMiddleIntegrator. Each line is flushed to the file immediately.
+
+    A force that depends on absolute positions, such as a restraint to points or a wall, has no virial pressure, and
+    neither has a force that uses a box of its own. With ``pressure=True``, the first step raises a ValueError with the
+    name of such a force. Restrain particles relative to a centre of mass instead. Molecules with frozen particles
+    (mass 0) move with the box, but are not counted in the kinetic pressure N kT/V. OpenMM's barostats count them.
     """
 
     def __init__(
@@ -82,7 +91,8 @@ class AverageReporter:
         Raises
         ------
         ValueError
-            If averages of the Simulation's integrator cannot be corrected, or the file belongs to another run.
+            If averages of the Simulation's integrator cannot be corrected, the file belongs to another run, or a force
+            has no virial pressure.
         """
         if self._frames is None:
             self._begin(simulation)
@@ -129,6 +139,13 @@ class AverageReporter:
         with written_whole(self._file, "wb") as out:
             out.write(text.encode())
         self._out = self._file.open("a", encoding="utf-8")
+        if settings.barostat and frames.frozen:
+            _log.warning(
+                "OpenMM's %s also counts the molecules with frozen particles (number: %d), so its pressure is too high "
+                "by their kT/V",
+                settings.barostat,
+                frames.frozen,
+            )
         self._frames, self._present = frames, self._changing(simulation)
         self._simulation = weakref.ref(simulation)
         return frames
