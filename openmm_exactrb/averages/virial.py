@@ -27,7 +27,7 @@ from openmm_exactrb.support.types import Array, Indices
 _Energy = Callable[[Array, Array], tuple[float, float]]
 
 # Displacements of the System relative to the edges of the box.
-_DISTANCES = (*8 * (1.0,), 10.0, 10.0, 100.0, 100.0)
+_DISTANCES = *12 * (1.0,), *4 * (10.0,)
 # The number of trials in which molecules are moved to other images, and the relative increase of the box.
 _TRIALS, _WIDER = 4, 0.01
 # Energies that differ by less than these parts of themselves, and of the work of all forces, are equal: the function of

@@ -65,8 +65,8 @@ def dipole_rod_forces(
     Returns
     -------
     openmm.NonbondedForce, openmm.CustomHbondForce
-        The second force has the Context parameters `soft_repulsion` and `soft_attraction` of `soft_dipole_force`. The
-        dipole moment cannot be changed in a Context.
+        The second force has the Context parameters `soft_repulsion` and `soft_attraction` of `soft_dipole_force`, and
+        `shortest_edge`, below which the forces are wrong. The dipole moment cannot be changed in a Context.
 
     Raises
     ------

@@ -222,6 +222,20 @@ def test_a_box_in_which_a_formula_is_wrong_is_refused(kernel, scale, message, ou
         simulation.step(1)
 
 
+def test_a_box_that_is_too_small_for_rods_is_refused():
+    _, system, positions = rb.dipole_fluid(64, density=0.4, boundary=rb.Ewald(tolerance=1e-3), kernel="openmm")
+    integrator = rb.ExactRigidBodyIntegrator(0.001)
+    context = context_of(system, integrator, positions)
+    shortest = context.getParameter("shortest_edge")
+    for edge, fits in ((shortest, True), (0.999 * shortest, False)):
+        context.setPeriodicBoxVectors(*(edge * np.eye(3)))
+        if fits:
+            integrator.step(0)
+        else:
+            with pytest.raises(ValueError, match="need a box with edges of at least"):
+                integrator.step(0)
+
+
 def test_a_barostat_moves_bonds_as_it_moves_the_compiled_kernel():
     boxes = []
     for kernel in KERNELS:
