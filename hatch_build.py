@@ -25,7 +25,7 @@ _LINK = re.compile(r"(!?)\[([^\]]*)\]\((?![a-z]+:|#)([^)]+)\)")
 #: The environment variable that asks for a wheel with the library of the device engine, for the OpenMM of where it is
 #: built (python -m build --no-isolation). Other wheels are pure, and compile it at first use.
 PLATFORM_WHEEL = "EXACTRB_PLATFORM_WHEEL"
-_DEVICE = "openmm_exactrb/engines/device"
+_ENGINES = "openmm_exactrb/engines"
 
 
 class DeviceLibrary(BuildHookInterface):
@@ -37,7 +37,7 @@ class DeviceLibrary(BuildHookInterface):
             return
         import openmm
 
-        source = Path(self.root) / _DEVICE / "library.py"
+        source = Path(self.root) / _ENGINES / "library.py"
         spec = importlib.util.spec_from_file_location("device_library", source)
         assert spec is not None
         assert spec.loader is not None
@@ -48,7 +48,7 @@ class DeviceLibrary(BuildHookInterface):
         library.build(built)
         built.chmod(0o755)
         made_for.write_text(openmm.__version__, encoding="utf-8")
-        build_data["force_include"] |= {str(file): f"{_DEVICE}/{file.name}" for file in (built, made_for)}
+        build_data["force_include"] |= {str(file): f"{_ENGINES}/{file.name}" for file in (built, made_for)}
         build_data["pure_python"], build_data["tag"] = False, f"py3-none-{_platform()}"
 
     def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:

@@ -129,7 +129,7 @@ class ExactRigidBodyIntegrator(Copied, OwnProgram, openmm.CustomIntegrator, Body
         super().__init__(self._h)
         self._noise, self._version, self._groups = Noise(), 0, -1
         self._selection = Selection(engine, self._settings())
-        self._selection.engine.declare(self, self._settings())
+        self._selection.declare(self, self._settings())
         self.timings = Timings()
         self._context: weakref.ref[Any] | None = None
         self._propagator: Propagator | None = None

@@ -112,7 +112,8 @@ class Synchronisation:
     The object holds only weak references to the Context and the integrator, which own the object. Checkpoints, and
     States with integratorParameters=True, contain the full state in the integrator's variables. A ValueError is raised
     if there are no positions, no particle can move, or bodies are not supported or do not match the positions. The
-    argument `pairs` is passed to `find_bodies`; `bodies` is the result of this function, if known.
+    argument `pairs` is passed to `find_bodies`; `bodies` is the result of this function, if known. The function
+    storage(integrator, bodies) returns where the integrator stores the state.
 
     Attributes
     ----------
@@ -136,12 +137,13 @@ class Synchronisation:
         named: Sequence[Sequence[int]] | None,
         pairs: bool = False,
         bodies: RigidBodies | None = None,
+        storage: Callable[[Any, RigidBodies], variables.Storage] = variables.PerDof,
     ) -> None:
         self._context, self._integrator = weakref.ref(context), weakref.ref(integrator)
         x, v = self.held()
         require_positions(context)
         self.bodies = bodies or find_bodies(context.getSystem(), x, named, self.box(), pairs)
-        self._shapes = Shapes(self.bodies)
+        self._shapes, self._storage = Shapes(self.bodies), storage(integrator, self.bodies)
         self.particles, self._v = x.copy(), v.copy()  # arrays that are written to OpenMM
         self.positions = Positions(context, self.bodies, self.particles)
         self._seen: tuple[Array, Array] | None = None  # values in the Context when it last held `state`
@@ -286,14 +288,14 @@ class Synchronisation:
 
     def saved(self, x: Array, v: Array) -> State | None:
         """Return the state from a loaded checkpoint or State, if any, given positions x and velocities v."""
-        return variables.read(self._integrator(), self.bodies)
+        return variables.read(self._integrator(), self._storage)
 
     def _read_inner(self) -> None:
         """Read the inner state from the integrator's variables, if they contain one."""
         integrator = self._integrator()
         fingerprint = variables.get(integrator, variables.COORDINATES)
-        inner = variables.read(integrator, self.bodies, variables.INNER) if fingerprint else None
-        self.inner = inner and Inner(inner, fingerprint, variables.read_forces(integrator, self.bodies))
+        inner = variables.read(integrator, self._storage, variables.INNER) if fingerprint else None
+        self.inner = inner and Inner(inner, fingerprint, variables.read_forces(integrator, self._storage))
 
     def _write(self) -> None:
         """Write the state, and the inner state if it is valid, to the integrator's variables; see `_write_shown`."""
@@ -304,8 +306,8 @@ class Synchronisation:
         if self.inner.fingerprint == self.fingerprint(self.context) and self._forces_changed_here():
             self.inner = None
             return
-        variables.write(integrator, self.bodies, self.inner.state, variables.INNER)
-        variables.write_forces(integrator, self.bodies, self.inner.memory)
+        self._storage.write(self.inner.state, variables.INNER)
+        variables.write_forces(integrator, self._storage, self.inner.memory)
         variables.put(integrator, variables.COORDINATES, self.inner.fingerprint)
 
     def _forces_changed_here(self) -> bool:
@@ -327,7 +329,7 @@ class Synchronisation:
         integrator = self._integrator()
         self._written = self._seen is not None and not variables.marked(integrator)
         if self._written:
-            variables.write(integrator, self.bodies, self.state)
+            self._storage.write(self.state)
             variables.put(integrator, variables.COORDINATES, 0.0)
             variables.mark(integrator, self._mark)
 

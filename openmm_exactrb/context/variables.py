@@ -8,14 +8,17 @@ variables of any integrator. The first number therefore also identifies the form
 
 from __future__ import annotations
 
+import weakref
 import zlib
 from collections.abc import Sequence
+from typing import Any, Protocol
 
 import numpy as np
 import openmm
 
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.state import Force, Remembered, State
+from openmm_exactrb.support.types import Array
 
 #: The first part of the names of all variables.
 PREFIX = "exactrb_"
@@ -156,18 +159,6 @@ class Numbers:
             put(integrator, name, value)
 
 
-def write(integrator: openmm.CustomIntegrator, bodies: RigidBodies, state: State, which: str = SHOWN) -> None:
-    """Write the double-doubles of a state."""
-    R, P, q, m = state
-    first, turning = bodies.first_particle, bodies.first_particle[: bodies.n_turning]
-    full = np.zeros((2, 5, bodies.n_particles, 3))
-    full[:, 0, first], full[:, 1, first] = R.swapaxes(1, 2), P.swapaxes(1, 2)
-    full[:, 2, turning], full[:, 3, turning] = m.swapaxes(1, 2), q[:, 1:].swapaxes(1, 2)
-    full[:, 4, turning, 0] = q[:, 0]
-    for name, values in zip(_VECTORS, full.reshape(-1, bodies.n_particles, 3), strict=True):
-        integrator.setPerDofVariableByName(PREFIX + which + name, values)
-
-
 def mark(integrator: openmm.CustomIntegrator, value: float) -> None:
     """Set the first number of an integrator to one of its `marks`."""
     put(integrator, _STORED, value)
@@ -178,50 +169,99 @@ def marked(integrator: openmm.CustomIntegrator) -> bool:
     return get(integrator, _STORED) != NOTHING
 
 
-def read(integrator: openmm.CustomIntegrator, bodies: RigidBodies, which: str = SHOWN) -> State | None:
-    """Return the double-doubles of a state, or None if no state was written or the integrator lacks its variables."""
-    if not marked(integrator) or not _has(integrator, which + _VECTORS[-1]):
+class Storage(Protocol):
+    """Where an integrator stores the state of the bodies for checkpoints and States."""
+
+    def write(self, state: State, which: str = SHOWN) -> None:
+        """Write the double-doubles of a state."""
+
+    def read(self, which: str = SHOWN) -> State | None:
+        """Return the double-doubles of a state, or None if there are none."""
+
+    def write_forces(self, memory: Sequence[Force]) -> None:
+        """Write forces (3, N) and torques (3, K)."""
+
+    def read_forces(self, count: int) -> list[Force] | None:
+        """Return `count` forces and torques that `write_forces` wrote, or None if another scheme wrote them."""
+
+
+class PerDof:
+    """The storage of an integrator without a library: its per-DOF variables, on the first particle of each body."""
+
+    def __init__(self, integrator: openmm.CustomIntegrator, bodies: RigidBodies) -> None:
+        self._reference, self._bodies = weakref.ref(integrator), bodies
+
+    @property
+    def _integrator(self) -> Any:
+        return self._reference()
+
+    def write(self, state: State, which: str = SHOWN) -> None:
+        """Write the double-doubles of a state."""
+        (R, P, q, m), bodies = state, self._bodies
+        first, turning = bodies.first_particle, bodies.first_particle[: bodies.n_turning]
+        full = np.zeros((2, 5, bodies.n_particles, 3))
+        full[:, 0, first], full[:, 1, first] = R.swapaxes(1, 2), P.swapaxes(1, 2)
+        full[:, 2, turning], full[:, 3, turning] = m.swapaxes(1, 2), q[:, 1:].swapaxes(1, 2)
+        full[:, 4, turning, 0] = q[:, 0]
+        for name, values in zip(_VECTORS, full.reshape(-1, bodies.n_particles, 3), strict=True):
+            self._integrator.setPerDofVariableByName(PREFIX + which + name, values)
+
+    def read(self, which: str = SHOWN) -> State | None:
+        """Return the double-doubles of a state, or None if there are none."""
+        if not self._has(which + _VECTORS[-1]):
+            return None
+        first, k = self._bodies.first_particle, self._bodies.n_turning
+        columns = [self._values(which + name).T for name in _VECTORS]
+        R, P, m, vector, w = np.array(columns).reshape(2, 5, 3, len(first)).swapaxes(0, 1)
+        q = np.concatenate([w[:, :1, :k], vector[:, :, :k]], axis=1)
+        return State(*map(np.ascontiguousarray, (R, P, q, m[:, :, :k])))
+
+    def write_forces(self, memory: Sequence[Force]) -> None:
+        """Write forces (3, N) and torques (3, K)."""
+        for k, values in enumerate(memory):
+            for name, value in zip(_last(k), values, strict=True):
+                full = np.zeros((self._bodies.n_particles, 3))
+                full[self._bodies.first_particle[: value.shape[1]]] = value.T
+                self._integrator.setPerDofVariableByName(PREFIX + name, full)
+
+    def read_forces(self, count: int) -> list[Force] | None:
+        """Return `count` forces and torques that `write_forces` wrote, or None if another scheme wrote them."""
+        if count and not self._has(_last(count - 1)[1]):
+            return None
+        pairs = ([self._values(name).T for name in _last(k)] for k in range(count))
+        k = self._bodies.n_turning
+        return [(np.ascontiguousarray(force), np.ascontiguousarray(torque[:, :k])) for force, torque in pairs]
+
+    def _values(self, name: str) -> Array:
+        values = np.array(self._integrator.getPerDofVariableByName(PREFIX + name), dtype=np.float64)
+        return values[self._bodies.first_particle]
+
+    def _has(self, name: str) -> bool:
+        """Return whether the integrator has a per-DOF variable with this name."""
+        integrator = self._integrator
+        return PREFIX + name in map(integrator.getPerDofVariableName, range(integrator.getNumPerDofVariables()))
+
+
+def read(integrator: openmm.CustomIntegrator, storage: Storage, which: str = SHOWN) -> State | None:
+    """Return the double-doubles of a state, or None if no state was written."""
+    state = storage.read(which) if marked(integrator) else None
+    if state is None or not state.q[0].any(axis=0).all():  # `reinitialize` keeps numbers, but not vectors
         return None
-    first, k = bodies.first_particle, bodies.n_turning
-    values = (integrator.getPerDofVariableByName(PREFIX + which + name) for name in _VECTORS)
-    columns = [np.array(value, dtype=np.float64)[first].T for value in values]
-    R, P, m, vector, w = np.array(columns).reshape(2, 5, 3, len(first)).swapaxes(0, 1)
-    q = np.concatenate([w[:, :1, :k], vector[:, :, :k]], axis=1)
-    if not q[0].any(axis=0).all():  # `reinitialize` keeps numbers, but not vectors
-        return None
-    return State(*map(np.ascontiguousarray, (R, P, q, m[:, :, :k])))
+    return state
 
 
-def write_forces(integrator: openmm.CustomIntegrator, bodies: RigidBodies, memory: Remembered) -> None:
-    """Write the stored forces (3, N) and torques (3, K)."""
-    forces, differences = memory
-    for k, values in enumerate([*forces, *differences]):
-        for name, value in zip(_last(k), values, strict=True):
-            full = np.zeros((bodies.n_particles, 3))
-            full[bodies.first_particle[: value.shape[1]]] = value.T
-            integrator.setPerDofVariableByName(PREFIX + name, full)
-    put(integrator, REMEMBERED, len(forces))
-    put(integrator, DIFFERENCES, len(differences))
+def write_forces(integrator: openmm.CustomIntegrator, storage: Storage, memory: Remembered) -> None:
+    """Write the stored forces, and how many there are."""
+    storage.write_forces([*memory[0], *memory[1]])
+    put(integrator, REMEMBERED, len(memory[0]))
+    put(integrator, DIFFERENCES, len(memory[1]))
 
 
-def read_forces(integrator: openmm.CustomIntegrator, bodies: RigidBodies) -> Remembered:
-    """Read the forces and torques that `write_forces` wrote."""
-    memory: list[Force] = []
-    n = int(get(integrator, REMEMBERED))
-    for k in range(n + int(get(integrator, DIFFERENCES))):
-        if not _has(integrator, _last(k)[1]):  # written by another scheme, whose forces cannot be used
-            return [], []
-        force, torque = (
-            np.array(integrator.getPerDofVariableByName(PREFIX + name), dtype=np.float64)[bodies.first_particle].T
-            for name in _last(k)
-        )
-        memory.append((np.ascontiguousarray(force), np.ascontiguousarray(torque[:, : bodies.n_turning])))
+def read_forces(integrator: openmm.CustomIntegrator, storage: Storage) -> Remembered:
+    """Read the forces that `write_forces` wrote; empty lists if another scheme wrote them."""
+    n, differences = int(get(integrator, REMEMBERED)), int(get(integrator, DIFFERENCES))
+    memory = storage.read_forces(n + differences) or []
     return memory[:n], memory[n:]
-
-
-def _has(integrator: openmm.CustomIntegrator, name: str) -> bool:
-    """Return whether an integrator has a per-DOF variable with this name."""
-    return PREFIX + name in map(integrator.getPerDofVariableName, range(integrator.getNumPerDofVariables()))
 
 
 def _last(k: int) -> tuple[str, str]:

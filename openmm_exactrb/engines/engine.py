@@ -21,6 +21,7 @@ from openmm_exactrb.mechanics.free_motion import Constrain
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.multiple_time_steps.fast_forces import MultipleTimeSteps
 from openmm_exactrb.openmm_access import arrays
+from openmm_exactrb.openmm_access.units import gas_constant_times
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.thermostat import Thermostat
@@ -74,6 +75,24 @@ class Settings:
     def numbers(self) -> tuple[str, ...]:
         """The names of the persistent numbers that substeps change."""
         return () if self.thermostat is None else (*self.thermostat.numbers, *self.thermostat.own_numbers)
+
+    @property
+    def watched(self) -> tuple[float, float] | None:
+        """KT (kJ/mol) and the relaxation time (ps) if the temperature is monitored: with friction, and if checked."""
+        thermostat = self.thermostat
+        if thermostat is None or thermostat.relaxation is None or not self.check:
+            return None
+        return gas_constant_times(thermostat.temperature), thermostat.relaxation
+
+    @property
+    def accepts_hot_states(self) -> bool:
+        """Whether resonances heat a run, which hybrid Monte Carlo prevents by rejecting states."""
+        return any(substep.kicks for substep, _ in self.scheme.sequence)
+
+    @property
+    def memory(self) -> int | None:
+        """The number of forces that a processed scheme stores, or None for other schemes."""
+        return sum(self.scheme.memory) if self.scheme.processor else None
 
     @property
     def own_numbers(self) -> tuple[str, ...]:
@@ -150,7 +169,9 @@ class Engine:
         zero means that the integrator contains no state. The mark identifies the engine that wrote a checkpoint or
         State.
     declare : callable
-        declare(integrator, settings) gives an integrator without a Context its variables and its program.
+        declare(integrator, settings) gives an integrator without a Context its variables.
+    release : callable
+        release(integrator) ends the use of an integrator by the engine, before another engine uses it.
     propagator : callable
         propagator(context, integrator, settings, timings) -> Propagator; the call prepares the Context and the
         integrator.
@@ -168,4 +189,5 @@ class Engine:
     declare: Callable[[openmm.CustomIntegrator, Settings], None]
     propagator: Callable[[Any, openmm.CustomIntegrator, Settings, Timings], Propagator]
     prepare_to_read: Callable[[str], None] = lambda xml: None
+    release: Callable[[openmm.CustomIntegrator], None] = lambda integrator: None
     information: Callable[[], str] = lambda: "available"

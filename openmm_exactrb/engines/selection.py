@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -10,6 +11,8 @@ import openmm
 from openmm_exactrb.context import variables
 from openmm_exactrb.engines.catalogue import ENGINES, in_order
 from openmm_exactrb.engines.engine import Engine, Settings
+from openmm_exactrb.engines.library import library
+from openmm_exactrb.errors import MissingLibraryError
 
 #: The value of `engine` that selects the first engine that supports the Context and is recommended for it.
 AUTO = "auto"
@@ -47,16 +50,27 @@ class Selection:
         """Whether there are several candidates, so that the Context determines the engine."""
         return len(self._candidates) > 1
 
+    def declare(self, integrator: openmm.CustomIntegrator, settings: Settings) -> None:
+        """Make a new integrator one of the library, if there is one, and give it its variables."""
+        with contextlib.suppress(MissingLibraryError):
+            library().adopt(integrator)
+        self.engine.declare(integrator, settings)
+
     def settle(self, context: Any, integrator: openmm.CustomIntegrator, settings: Settings) -> None:
         """Choose the engine for a Context and settings; raise ValueError if no engine supports them."""
-        writer = self._writer(integrator, settings)
+        writer, before = self._writer(integrator, settings), self.engine
         serving, reasons = _serving(self._candidates, lambda engine: engine.unsupported_in(context, settings))
         if not self.open:
             return
         if writer in serving:  # a continued run keeps its engine if possible
             self._choose(writer, f"the run began with engine={writer.name!r}", settings)
-            return
-        reasons = [*self._reasons, *reasons]
+        else:
+            self._advised(context, settings, serving, [*self._reasons, *reasons])
+        if self.engine is not before:
+            before.release(integrator)
+
+    def _advised(self, context: Any, settings: Settings, serving: Sequence[Engine], reasons: list[str]) -> None:
+        """Choose the first engine that is advised for a Context; `reasons` tell why engines do not serve it."""
         for engine in serving:
             pays, why = engine.advice(context, settings)
             if pays:

@@ -80,6 +80,13 @@ def times(a: Numbers, b: tuple[Numbers, Numbers]) -> tuple[Numbers, Numbers]:
     return total, error - (total - leading)
 
 
+def quotient(a: Array, b: Numbers) -> Array:
+    """Return the double-double a/b, for a double-double a (2, ...) and a number b."""
+    leading = a[0] / b
+    product, error = two_product(leading, b)
+    return np.array(two_sum(leading, ((a[0] - product) - error + a[1]) / b))
+
+
 def times_squared(factor: tuple[Numbers, Numbers], x: Numbers) -> tuple[Numbers, Numbers]:
     """Return the product of a double-double factor and the square of a number x, as a double-double."""
     square, square_error = two_product(x, x)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,9 +29,11 @@ _FEW = 10_000
 # Relative rounding error of energies in single precision, and the energy in kJ/mol per body below which a rise is
 # insignificant, even for a run that starts at rest.
 _ROUNDED, _NOTHING = 1e-4, 1e-6
-#: What the Context holds after a step or call that diverged, and what to do.
+# The largest number of invalid bodies that an error message names, and the number of bodies whose names are searched.
+_NAMED, _SEARCHED = 3, 60
+#: What the Context holds after a step that diverged, and what to do.
 ADVICE = (
-    "The Context keeps the state before this {}: use a smaller step size (numbers without a unit are in ps), or "
+    "The Context keeps the state before this step: use a smaller step size (numbers without a unit are in ps), or "
     "minimise the energy first"
 )
 
@@ -98,16 +100,8 @@ class DivergenceCheck:
 
     def _raise_if_lost(self, state: State) -> None:
         """Raise NonFiniteError with the names of the bodies that `lost` selects, if there are any."""
-        bad = np.flatnonzero(lost(self._bodies, state.rounded))
-        if len(bad):
-            names = "; ".join(self._bodies.name(int(b)) for b in bad[:3])
-            more = f" and {len(bad) - 3} more" if len(bad) > 3 else ""
-            raise NonFiniteError(
-                self._message(
-                    "positions or momenta became non-finite, or speeds exceeded the speed of light (bodies affected: "
-                    f"{len(bad)}): {names}{more}"
-                )
-            )
+        if message := non_finite(self._bodies, state):
+            raise NonFiniteError(self._message(message))
 
     def of_inner_steps(self, bodies: RigidBodies) -> Callable[[State], None]:
         """Return a check of selected bodies after inner steps.
@@ -152,10 +146,28 @@ class DivergenceCheck:
         return kinetic, kinetic + self._potential(state)
 
     def _message(self, what: str) -> str:
-        closest = ""
-        if self._before is not None and len(self._bodies) > 1:
-            closest = f"The closest before the step were {closest_pair(self._before.rounded, self._box())}. "
-        return f"step {self._number}, after {self._time:.6g} ps: {what}. {closest}{ADVICE.format('step')}"
+        return of_step(self._number, self._time, what, self._before, self._box())
+
+
+def of_step(number: int, time: float, what: str, before: State | None, box: Array | None) -> str:
+    """Return the message about a step that diverged, with the time (ps) and the state `before` it."""
+    closest = ""
+    if before is not None and before.R.shape[2] > 1:
+        closest = f"The closest before the step were {closest_pair(before.rounded, box)}. "
+    return f"step {number}, after {time:.6g} ps: {what}. {closest}{ADVICE}"
+
+
+def non_finite(bodies: RigidBodies, state: State) -> str | None:
+    """Return a description of the bodies that `lost` selects, or None if there are none."""
+    bad = np.flatnonzero(lost(bodies, state.rounded))
+    if not len(bad):
+        return None
+    names = list(dict.fromkeys(map(bodies.name, bad[:_SEARCHED].tolist())))  # the atoms of a cluster have one name
+    more = f" and {len(bad) - _NAMED} more" if len(bad) > _NAMED else ""
+    return (
+        "positions or momenta became non-finite, or speeds exceeded the speed of light (bodies affected: "
+        f"{len(bad)}): {'; '.join(names[:_NAMED])}{more}"
+    )
 
 
 def gained(n_bodies: int, then: tuple[float, float], now: tuple[float, float]) -> str | None:
@@ -194,14 +206,12 @@ class Overheating:
     """Monitors the temperatures of a run with a thermostat, and warns once.
 
     The translation of rigid bodies, their rotation, and all other particles are monitored separately, because a solute
-    may be hotter than its water. `kT` (kJ/mol) and `relaxation` (ps) are the thermal energy and the relaxation time of
-    the thermostat.
+    may be hotter than its water. `freedom` contains their degrees of freedom. `kT` (kJ/mol) and `relaxation` (ps) are
+    the thermal energy and the relaxation time of the thermostat.
     """
 
-    def __init__(self, bodies: RigidBodies, kT: float, relaxation: float) -> None:
-        self._bodies, self._kT, self._relaxation = bodies, kT, relaxation
-        turning, others = bodies.n_turning, bodies.translational_freedom - 3 * bodies.n_turning
-        self._freedom = np.array([3 * turning, bodies.rotational_freedom, others])
+    def __init__(self, freedom: tuple[int, int, int], kT: float, relaxation: float) -> None:
+        self._freedom, self._kT, self._relaxation = freedom, kT, relaxation
         self._told, self._since = False, 0.0
         self.begin(0.0)
 
@@ -209,26 +219,18 @@ class Overheating:
         """Start a new mean at the time (ps) at which the state was set."""
         self._next, self._sums, self._count = time + _LEFT_OUT * self._relaxation, np.zeros(3), 0
 
-    def see(self, time: float, state: State) -> None:
-        """Sample the state at a time (ps) if a sample is due; issue at most one StepSizeWarning."""
+    def see(self, time: float, kinetic: Callable[[], Sequence[float] | Array]) -> None:
+        """Sample the kinetic energies (kJ/mol) at a time (ps) if a sample is due; issue at most one StepSizeWarning."""
         if self._told or time < self._next:
             return
         if not self._count:
             self._since = time
         self._next = max(self._next + self._relaxation, time)
-        self._sums += self._kinetic(state)
+        self._sums += kinetic()
         self._count += 1
         if self._count == _SAMPLES:
             self._judge(time - self._since)
             self._sums, self._count = np.zeros(3), 0
-
-    def _kinetic(self, state: State) -> list[float]:
-        """Return the kinetic energies of translation and rotation of rigid bodies, and of other particles."""
-        bodies, rounded = self._bodies, state.rounded
-        P, turning = bodies.tangent(rounded).P, bodies.n_turning
-        energies = 0.5 * (P * P).sum(axis=0) / bodies.mass
-        rotation = 0.5 * float((rounded.m * rounded.m / bodies.inertia.T).sum())
-        return [float(energies[:turning].sum()), rotation, float(energies[turning:].sum())]
 
     def _judge(self, duration: float) -> None:
         names = "translation of rigid bodies", "rotation of rigid bodies", "particles outside rigid bodies"
@@ -245,3 +247,18 @@ class Overheating:
                     StepSizeWarning,
                 )
                 return
+
+
+def freedom_by_kind(bodies: RigidBodies) -> tuple[int, int, int]:
+    """Return the degrees of freedom of translation and rotation of rigid bodies, and of other particles."""
+    turning = 3 * bodies.n_turning
+    return turning, bodies.rotational_freedom, bodies.translational_freedom - turning
+
+
+def kinetic_by_kind(bodies: RigidBodies, state: State) -> tuple[float, float, float]:
+    """Return the kinetic energies (kJ/mol) of translation and rotation of rigid bodies, and of other particles."""
+    rounded, turning = state.rounded, bodies.n_turning
+    P = bodies.tangent(rounded).P
+    energies = 0.5 * (P * P).sum(axis=0) / bodies.mass
+    rotation = 0.5 * float((rounded.m * rounded.m / bodies.inertia.T).sum())
+    return float(energies[:turning].sum()), rotation, float(energies[turning:].sum())

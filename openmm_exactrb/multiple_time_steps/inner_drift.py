@@ -24,7 +24,6 @@ from openmm_exactrb.multiple_time_steps.compiled_forces import BondedForces, ter
 from openmm_exactrb.multiple_time_steps.compiled_inner_steps import CompiledInnerSteps
 from openmm_exactrb.multiple_time_steps.excerpt import Excerpt
 from openmm_exactrb.multiple_time_steps.fast_forces import FastForces
-from openmm_exactrb.multiple_time_steps.resonance import Resonances
 from openmm_exactrb.openmm_access import arrays, parameters
 from openmm_exactrb.rotors import COMPILED, Rotor, rotor_of_sums
 from openmm_exactrb.schemes.scheme import Scheme
@@ -35,7 +34,7 @@ _COUNTER = "fast_evaluations"
 
 
 class InnerDrift:
-    """Drifts of the bodies of a Context that include fast forces, and the resonances of the fast motions.
+    """Drifts of the bodies of a Context that include fast forces.
 
     Bodies without fast forces have inner steps too if they are not `separable` from the others.
     """
@@ -48,9 +47,6 @@ class InnerDrift:
         self._own = None if excerpt is None else ExcerptPositions(excerpt, sync)
         self._part = sync.bodies if excerpt is None else excerpt.part.bodies
         self._rotor, self._free = rotor, free_motion(self._part, rotor)
-        self.resonances = Resonances(
-            sync.context.getSystem(), fast.named or range(32), None if excerpt is None else excerpt.forces
-        )
         self._rigid = rigid(sync.bodies.mass, rotor_of_sums(rotor, sync.bodies.inertia, checked=False))
 
     def split(

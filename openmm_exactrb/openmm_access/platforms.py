@@ -12,6 +12,8 @@ import openmm
 _PRECISION = "Precision"
 #: Platforms that keep positions and forces on a device.
 DEVICES = ("CUDA", "HIP", "OpenCL")
+#: Platforms that keep positions and forces in the memory of the processor, in double precision.
+PROCESSORS = ("Reference", "CPU")
 # Names of CPUs in OpenCL's DeviceName and OpenCLPlatformName: Intel, AMD, Arm and PoCL (pthread-..., cpu-..., basic).
 _CPU = re.compile(r"\b(cpu|pthread|basic|core\(tm\)|xeon|pentium|celeron|epyc|ryzen|threadripper|opteron|cortex)", re.I)
 
@@ -83,5 +85,8 @@ def rounding(context: Any) -> float:
 
 
 def precision(context: Any) -> str:
-    """Return whether a Context of a device computes in single, mixed or double precision."""
-    return str(context.getPlatform().getPropertyValue(context, _PRECISION))
+    """Return whether a Context stores positions in single, mixed or double precision."""
+    platform = context.getPlatform()
+    if platform.getName() in PROCESSORS:
+        return "double"
+    return str(platform.getPropertyValue(context, _PRECISION))

@@ -8,7 +8,7 @@ import pytest
 from openmm import app
 
 import openmm_exactrb as rb
-from openmm_exactrb.mechanics.divergence import Overheating
+from openmm_exactrb.mechanics.divergence import Overheating, freedom_by_kind, kinetic_by_kind
 from openmm_exactrb.multiple_time_steps.resonance import Resonances, growth
 from openmm_exactrb.schemes import splitting
 from openmm_exactrb.substeps import DRIFT
@@ -188,11 +188,11 @@ def looked_at(temperature, samples=400):
     integrator = rb.ExactRigidBodyIntegrator(0.001)
     _context = context_of(system, integrator, x)
     bodies, _ = integrator.bodyState()
-    watch = Overheating(bodies, 300.0 * 0.00831446, 0.2)
+    watch = Overheating(freedom_by_kind(bodies), 300.0 * 0.00831446, 0.2)
     for k in range(samples):
         integrator.setVelocitiesToTemperature(temperature, 1 + k)
         _, state = integrator.bodyState()
-        watch.see(0.2 * k, rb.mechanics.state.State.of(state))
+        watch.see(0.2 * k, lambda: kinetic_by_kind(bodies, rb.mechanics.state.State.of(state)))
 
 
 def test_canonical_momenta_of_few_molecules_do_not():

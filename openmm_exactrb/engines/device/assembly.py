@@ -47,6 +47,7 @@ class Assembly:
         factors: Factors | None = None,
         flexible: Sequence[Flexible] = (),
         evaluated: Evaluated | None = None,
+        pairs: bool = False,
     ) -> None:
         self.scheme, processed = scheme, bool(scheme.processor)
         late = any(some.molecules.late for some in flexible)
@@ -59,7 +60,12 @@ class Assembly:
         moves = [move for row in rows for move in of_substep(*row)]
         drifts = [move.part for move in moves if move.op == Op.DRIFT and move.bodies != "others"]
         kicks = ALL if evaluated is None else evaluated.slow
-        step = Step.of(rows, splits_exchanges=factors is not None, remembered=kicks if any(scheme.memory) else None)
+        step = Step.of(
+            rows,
+            splits_exchanges=factors is not None,
+            remembered=kicks if any(scheme.memory) else None,
+            processed=processed,
+        )
         self.evaluated = 0 if evaluated is None else step.evaluations(evaluated.groups)
         ways = (divided(ahead), divided(inverse(ahead)))
         self.evaluated_around = sum(segment.groups is not None for way in ways for segment in way)
@@ -73,6 +79,7 @@ class Assembly:
             any(move.op == Op.DISPLACE for move in _moves(scheme)),
             factors is not None,
             own,
+            pairs,
         )
         self.table = Table(own)
         prefixes = "flexible_", "constrained_"
@@ -87,7 +94,7 @@ class Assembly:
         sequences = Sequences(self.parts, self.table, sites, factors and self._factors(factors))
         sequences.write_step(to, step, processed)
         if processed:
-            sequences.write_processor(to, scheme)
+            sequences.write_processor(to, scheme, rows[len(rows) - step.held :])
         sequences.write_updates(to, updates, processed, ahead)
         self.table.declare(to, EXCHANGE_NUMBERS)
         for part in self.parts:
@@ -95,7 +102,7 @@ class Assembly:
 
     def _factors(self, factors: Factors) -> Callable[[int], Launch]:
         """Return a function that maps the row of a heat exchange to the launch that computes its factors."""
-        source = Source(("random.cl", "thermostats.cl"), factors.defines)
+        source = Source("thermostats", ("random.cl", "thermostats.cl"), factors.defines)
         arrays = "totals", "factors", "thermostat", Table.MOVES, Table.NUMBERS
         return lambda row: Launch(source, factors.kernel, 1, (*arrays, row, "#step", "$key"), 1)
 

@@ -26,20 +26,28 @@ class Source:
 
     Parameters
     ----------
+    name : str
+        The name of the compiled kernels that the library has for processors.
     pieces : tuple of str
         Names of files in the folder `kernels` (NAME.cl), or source texts, in this order.
     defines : tuple of (str, object)
         Names and values of macros, which are defined before the pieces.
     """
 
+    name: str
     pieces: tuple[str, ...]
     defines: tuple[tuple[str, object], ...] = ()
 
     @property
     def text(self) -> str:
-        """The source that is compiled: the macros and the pieces."""
+        """The source that is compiled for a device: the macros and the pieces."""
         defines = [f"#define {name} {value}\n" for name, value in self.defines]
         return "\n".join(["".join(defines), *map(_piece, self.pieces)])
+
+    @property
+    def lines(self) -> list[str]:
+        """The lines of a program for a processor: the name of compiled kernels and their constants."""
+        return [f"compiled {self.name} {len(self.defines)}", *(f"{name} {value}" for name, value in self.defines)]
 
 
 def _piece(piece: str) -> str:
@@ -92,7 +100,7 @@ def copy(array: str, to: str) -> str:
 SITES, REORDER, STEP = "sites", "reorder", "step"
 
 # Scalars of the integrator.
-_COUNTS = ("interval", "always", "removal", "calls")
+_COUNTS = ("interval", "always", "removal", "calls", "held")
 
 #: A launch, or another operation as a line of the program.
 Operation = Launch | str
@@ -105,7 +113,7 @@ class Program:
     All scalars are saved, like `saved` arrays. The integrator reads "interval", the number of steps between moves of a
     barostat, and "removal", the number of steps between removals of the centre-of-mass motion; 0 means never. If
     "always" is not 0, barostats or thermostats may act after every step. In "calls" the integrator counts the steps
-    since OpenMM last updated the Context.
+    since OpenMM last updated the Context. "held" is 1 if the last call ended with the sequence "hold".
     """
 
     arrays: dict[str, Array] = field(default_factory=dict)
@@ -130,9 +138,8 @@ class Program:
             by_source.setdefault(launch.source, {})[launch] = None
         return [launch for some in by_source.values() for launch in some]
 
-    @property
-    def text(self) -> str:
-        """The text that program_integrator.cpp reads."""
+    def text(self, processor: bool) -> str:
+        """Return the text that program_integrator.cpp reads, for a processor or for a device."""
         lines = [
             f"array {a.name} {a.element} {a.size} {'saved' if a.saved else 'scratch'}" for a in self.arrays.values()
         ]
@@ -142,8 +149,7 @@ class Program:
         for launch in self.launches:
             if launch.source != source:
                 source = launch.source
-                text = source.text
-                lines.append(f"source {len(text.encode())}\n{text}")
+                lines += source.lines if processor else [f"source {len(source.text.encode())}\n{source.text}"]
             names[launch] = f"k{len(names)}"
             lines.append(f"kernel {names[launch]} {launch}")
         for name, operations in self.sequences.items():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 import weakref
 from collections.abc import Callable
 from typing import Any
@@ -15,24 +16,42 @@ from openmm_exactrb.context.forces import ContextForces
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.updates import ContextUpdates, conserve_energy
 from openmm_exactrb.engines.device.assembly import EXCHANGE_NUMBERS, Assembly
-from openmm_exactrb.engines.device.flexible.molecules import fast_of, found, served
+from openmm_exactrb.engines.device.flexible.molecules import served
 from openmm_exactrb.engines.device.flexible.part import Flexible
-from openmm_exactrb.engines.device.library import Device, library
+from openmm_exactrb.engines.device.rigid import RigidPart
 from openmm_exactrb.engines.device.state import FORCES, DeviceState
+from openmm_exactrb.engines.library import Device, library
 from openmm_exactrb.errors import IntegrationError, NonFiniteError
-from openmm_exactrb.mechanics.divergence import ADVICE, GROWN, gained, lost
+from openmm_exactrb.mechanics.divergence import GROWN, Overheating, gained, non_finite, of_step
 from openmm_exactrb.mechanics.free_motion import free_motion
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.multiple_time_steps.bonded import BondedNumbers
+from openmm_exactrb.multiple_time_steps.fast_forces import FastForces
+from openmm_exactrb.multiple_time_steps.found import found
 from openmm_exactrb.openmm_access import platforms
 from openmm_exactrb.openmm_access.molecules import in_flexible_molecules
 from openmm_exactrb.openmm_access.units import gas_constant_times
 from openmm_exactrb.schemes.sequence import behind_exchange, inverse
+from openmm_exactrb.support.types import Array
 from openmm_exactrb.support.warn import warn
 from openmm_exactrb.thermostat import Factors
 
-# The largest number of invalid bodies that an error message names.
-_NAMED = 5
+# The state is checked after portions of at least and at most these numbers of steps. Portions grow while one takes less
+# than this time (s).
+_FEWEST, _MOST, _SECONDS = 10, 1000, 0.05
+# The place (see `Device.keep`) of the state after steps whose energies are compared.
+_AFTER = 1
+
+# Kinetic and total energy in kJ/mol.
+Energies = tuple[float, float]
+
+
+class _DivergedError(Exception):
+    """Steps have diverged: the kind of the error, and its description without the step."""
+
+    def __init__(self, kind: type[IntegrationError], what: str) -> None:
+        super().__init__(what)
+        self.kind, self.what = kind, what
 
 
 class DevicePropagator:
@@ -54,18 +73,25 @@ class DevicePropagator:
 
     def __init__(self, context: Any, integrator: Any, settings: Any, timings: Timings) -> None:
         system = context.getSystem()
-        bodies, self._whole, self._fast = found(context, settings)
-        self._bonded = BondedNumbers.of(system, bodies.owner) if settings.fast else None
+        self._found = found(context, settings.named, settings.fast)
+        self._resonances = self._found.resonances(system)
+        self._bonded = BondedNumbers.of(system, self._found.bodies.owner) if settings.fast else None
         self._fast_changed = False
-        self.sync = DeviceState(context, integrator, settings.named, bodies=bodies)
+        self.sync = DeviceState(context, integrator, settings.named, bodies=self._found.bodies)
         self.updates = ContextUpdates(context, settings.named or [])
         self.device = Device(library(), integrator)
         self._integrator, self._timings, self._settings = weakref.ref(integrator), timings, settings
         self._sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
         self._conserves = conserve_energy(system)
         self._version: object = None
-        self._kept = 0.0  # the fingerprint (see `Settings.fingerprint`) of the inner coordinates before a call
+        self._shown = True  # whether the Context shows the state, which within a call of a processed scheme it does not
+        self._kept = (
+            0.0,
+            True,
+        )  # the fingerprint of the inner coordinates, and `_shown`, before the steps
+        self._portion = _FEWEST
         self._largest = 0.0  # the largest kinetic energy (kJ/mol) that was accepted
+        self._reference: Energies | None = None  # the energies when it was accepted
         self._load()
         if (evaluated := self._served.evaluated) is not None:
             warn(evaluated.warning)
@@ -125,8 +151,9 @@ class DevicePropagator:
             self._factors,
             self._flexible,
             self._served.evaluated,
+            self._on_processor,
         )
-        self.device.load(assembly.program.text)
+        self.device.load(assembly.program.text(self._on_processor))
         self.sync.begin(self.device, assembly.parts, self._processed, platforms.precision(context) == "single")
         for part in assembly.parts:
             for name, values in part.tables().items():
@@ -138,6 +165,14 @@ class DevicePropagator:
         """The flexible molecules; fast forces are in double precision if the platform uses it for all forces."""
         precision = np.float64 if platforms.precision(self.sync.context) == "double" else np.float32
         return [Flexible(molecules, self.sync.particles, precision) for molecules in self._served.molecules]
+
+    @property
+    def _on_processor(self) -> bool:
+        return self.sync.context.getPlatform().getName() in platforms.PROCESSORS
+
+    @property
+    def _fast(self) -> FastForces | None:
+        return self._found.fast
 
     @property
     def _processed(self) -> bool:
@@ -152,15 +187,37 @@ class DevicePropagator:
             self._load()
             self.sync.renew()
             self._fast_changed = False
+        self._warn_of_resonances()
+        self._overheating = self._monitor()
         moves, numbers = self._assembly.table.values(settings.h, self._exchange)
         self.device.upload("moves", moves)
         self.device.upload("numbers", numbers)
         thermostat = settings.thermostat
         if thermostat is not None and getattr(thermostat, "flexibleFriction", None) is not None:
-            whole, first = self._whole, self.sync.bodies.first_particle
+            whole, first = self._found.whole, self.sync.bodies.first_particle
             flexible = in_flexible_molecules(self.sync.context, whole, settings.named)[whole.owner[first]]
             for part in self._assembly.parts:
                 part.flag(self.device, flexible)
+
+    def _warn_of_resonances(self) -> None:
+        """Warn once if slow forces may heat fast motions."""
+        settings, fast = self._settings, self._fast
+        if fast is None or self._resonances is None or not settings.accepts_hot_states:
+            return
+        if fast.acts(settings.splitting, settings.h):
+            self._resonances.warn(settings.splitting, abs(settings.h / settings.splits))
+
+    def _monitor(self) -> Overheating | None:
+        """Return the monitor of temperatures, or None if settings or forces exclude it."""
+        watched, bodies = self._settings.watched, self.sync.bodies
+        if watched is None or not self._conserves:
+            return None
+        rigid = sum(3 * part.n for part in self._assembly.parts if isinstance(part, RigidPart))
+        return Overheating((rigid, bodies.rotational_freedom, bodies.translational_freedom - rigid), *watched)
+
+    def _kinetic_by_kind(self) -> Array:
+        every = [part.kinetic_by_kind(self.device) for part in self._assembly.parts]
+        return np.asarray(np.sum(every, axis=0))
 
     @property
     def _factors(self) -> Factors | None:
@@ -195,7 +252,7 @@ class DevicePropagator:
     # -- calls -----------------------------------------------------------------------------------------------------
 
     def advance(self, version: object, settings: Callable[[], Any], key: int, n: int) -> None:
-        """Perform n steps. After an error, the Context contains the state before the call.
+        """Perform n steps. After an error, the Context contains the state after the last valid step, or an earlier one.
 
         The arguments are those of `openmm_exactrb.engines.engine.Propagator.advance`.
 
@@ -215,51 +272,94 @@ class DevicePropagator:
         self.device["key"] = key
         self._send_intervals()
         if changed:
-            self._largest = self._report()[0]
+            self._largest, self._reference = self._report()[0], None
             self._send_numbers()
-        self._kept = self._coordinates
+            if self._overheating is not None:
+                self._overheating.begin(self.sync.context.getTime()._value)
+        while n > 0:
+            count = min(n, self._portion)
+            start = time.perf_counter()
+            self._perform(count, shows=count == n)
+            if time.perf_counter() - start < _SECONDS:
+                self._portion = min(2 * self._portion, _MOST)
+            n -= count
+        self._fetch_numbers()
+        if self._overheating is not None:
+            self._overheating.see(self.sync.context.getTime()._value, self._kinetic_by_kind)
+
+    def _perform(self, n: int, shows: bool, since: Energies | None = None) -> None:
+        """Perform n steps; unless the Context `shows` the result, more steps follow.
+
+        Later energies are compared with those in `since`, by default with those before these steps.
+
+        If the steps diverge, they are repeated one by one, to find the step that does. The message names this step, and
+        the Context contains the state before it.
+        """
+        self._kept = self._coordinates, self._shown
         self.device.keep()
         try:
-            self._make(n)
+            self._make(n, shows, since)
+        except _DivergedError as found:
+            self._restore()
+            if n == 1:
+                self._show()
+                raise self._error(found) from None
+            since = self._energies()
+            for k in range(n):
+                self._perform(1, shows and k == n - 1, since)
         except BaseException as error:
             try:
                 self._restore()
+                self._show()
             except openmm.OpenMMException as second:  # the first error is raised, with a note
                 error.add_note(f"The Context could not be restored ({second}): load a checkpoint into a new Context.")
             raise
-        self._fetch_numbers()
 
-    def _make(self, n: int) -> None:
-        """Perform n steps; raise IntegrationError if they diverge."""
-        self._step(n)
+    def _error(self, found: _DivergedError) -> IntegrationError:
+        """Return the error for the next step, which diverges; the Context contains the state before it."""
+        self.sync.pull()
+        context = self.sync.context
+        number, time = context.getStepCount() + 1, context.getTime()._value
+        return found.kind(of_step(number, time, found.what, self.sync.state, self.sync.box()))
+
+    def _make(self, n: int, shows: bool, since: Energies | None) -> None:
+        """Perform n steps; raise _DivergedError if they diverge."""
+        self._step(n, shows)
         kinetic, bad = self._report()
         if bad:
-            self._refuse(n)
+            self._refuse()
         if kinetic > GROWN * self._largest and self._judged and kinetic > GROWN * self._thermal:
-            self._compare(kinetic, n)
-            self._step(n)  # again, because the comparison has restored the earlier state
+            self._compare(since)
         self._largest = max(self._largest, kinetic)
 
     def _restore(self) -> None:
-        """Restore the state before the present call."""
+        """Restore the state before the present steps."""
         self.device.restore()
-        self._coordinates = self._kept
+        self._coordinates, self._shown = self._kept
         self.sync.moved_on()
 
-    def _step(self, n: int) -> None:
-        """Perform n steps, and show the result in the Context."""
+    def _show(self) -> None:
+        """Show the state of a processed scheme in the Context, if it does not yet."""
+        if not self._shown:
+            self.device.run("output" if self._assembly.cheap(self.device["turn"]) else "postprocess")
+            self._shown = True
+
+    def _step(self, n: int, shows: bool) -> None:
+        """Perform n steps, and show the result in the Context if `shows` is true or the scheme is not processed."""
         device, before = self.device, self.device.evaluations
         try:
-            if self._processed and n:
+            if self._processed:
                 self._enter()
             device.step(n)
-            if self._processed and n:
+            if self._processed:
                 self._coordinates = self._fingerprint  # a barostat may have changed the box
-                device.run("output" if self._assembly.cheap(device["turn"]) else "postprocess")
+            self._shown = not self._processed
+            if shows:
+                self._show()
         except openmm.OpenMMException as error:
             if "NaN" not in str(error):
                 raise
-            self._refuse(n)
+            self._refuse()
         finally:
             trials = self.updates.trial_energies(n)
             around = trials // 2 * self._assembly.evaluated_around
@@ -270,22 +370,16 @@ class DevicePropagator:
 
     def _report(self) -> tuple[float, bool]:
         """Return the kinetic energy (kJ/mol), and whether the state of any body is invalid."""
-        self.device.run("report")
+        self.device.run("report" if self._shown else "report_inner")
         translation, rotation, lost_bodies = self.device.download("totals", np.empty(3))
         kinetic = float(translation + rotation)
         return kinetic, bool(lost_bodies) or not math.isfinite(kinetic)
 
-    def _refuse(self, n: int) -> None:
-        """Raise NonFiniteError with the names of the invalid bodies."""
-        self.sync.pull()
-        bodies = self.sync.bodies
-        which = np.flatnonzero(lost(bodies, self.sync.state.rounded))
-        names = list(dict.fromkeys(map(bodies.name, which[: 20 * _NAMED])))  # the atoms of a cluster have one name
-        named = ", ".join(names[:_NAMED]) + (", ..." if len(names) > _NAMED else "")
-        raise NonFiniteError(
-            f"during step({n}), positions or momenta became non-finite, or speeds exceeded the speed of light "
-            f"(bodies affected: {len(which)}): {named}. {ADVICE.format('call')}"
-        )
+    def _refuse(self) -> None:
+        """Raise _DivergedError with the names of the invalid bodies."""
+        state = self.sync.on_device(self._shown)
+        what = non_finite(self.sync.bodies, state) or "positions or forces became non-finite"
+        raise _DivergedError(NonFiniteError, what)
 
     @property
     def _judged(self) -> bool:
@@ -300,19 +394,33 @@ class DevicePropagator:
         kT = max(kT, self.updates.hottest(self.sync.context))
         return kT * (bodies.translational_freedom + bodies.rotational_freedom + 20)
 
-    def _compare(self, kinetic: float, n: int) -> None:
-        """Restore the state before n steps; raise IntegrationError if the total energy has jumped since then."""
-        energy = kinetic + self._potential()
-        self._restore()
-        kinetic_before = self._report()[0]
-        before = kinetic_before, kinetic_before + self._potential()
-        if message := gained(len(self.sync.bodies), before, (kinetic, energy)):
-            raise IntegrationError(f"during step({n}), {message}. {ADVICE.format('call')}")
+    def _compare(self, since: Energies | None) -> None:
+        """Raise _DivergedError if the total energy has jumped.
 
-    def _potential(self) -> float:
+        The energies are compared with those in `since`, or with earlier ones, and if these do not suffice, with those
+        before the present steps.
+        """
+        after, size = self._energies(), len(self.sync.bodies)
+        known = since or self._reference
+        message = gained(size, known, after) if known is not None else ""
+        if since is None and message is not None:
+            self.device.keep(_AFTER)
+            here = self._coordinates, self._shown
+            self._restore()
+            message = gained(size, self._energies(), after)
+            self.device.restore(_AFTER)
+            self._coordinates, self._shown = here
+        if message is not None:
+            raise _DivergedError(IntegrationError, message)
+        self._reference = after
+
+    def _energies(self) -> Energies:
+        """Return the kinetic and the total energy (kJ/mol) of the state that the Context shows."""
+        self._show()
         self._timings.evaluations += 1
         state = self.sync.context.getState(energy=True, groups=self._settings.groups)
-        return float(state.getPotentialEnergy()._value)
+        kinetic = self._report()[0]
+        return kinetic, kinetic + float(state.getPotentialEnergy()._value)
 
     def _take_new_forces(self) -> None:
         """Discard all that belongs to the forces before a change: inner coordinates, and numbers of fast forces."""
@@ -320,13 +428,14 @@ class DevicePropagator:
         system, settings = self.sync.context.getSystem(), self._settings
         if self._bonded is None or not self._bonded.changed(system):
             return
-        fast = fast_of(system, self._whole, self.sync.bodies, settings)
-        if self._fast is None and fast is not None and fast.acts(settings.splitting, settings.h):
+        before, self._found = self._fast, self._found.renewed(system, settings.fast)
+        if before is None and self._fast is not None and self._fast.acts(settings.splitting, settings.h):
             raise ValueError(
                 "the bonded forces have changed so that they need inner steps, for which the device has no program: "
                 "call context.reinitialize(preserveState=True)"
             )
-        self._fast, self._fast_changed, self._version = fast, True, None
+        self._resonances = self._found.resonances(system)
+        self._fast_changed, self._version = True, None
 
     # -- inner coordinates of a processed scheme -----------------------------------------------------------------------
 
@@ -334,7 +443,7 @@ class DevicePropagator:
         """Compute inner coordinates from the shown state, unless they are available for the present settings."""
         if self._coordinates != self._fingerprint:
             self.device.run("enter")
-            self.device["turn"] = 0.0
+            self.device["turn"] = self.device["held"] = 0.0
             self._coordinates = self._fingerprint
 
     @property

@@ -9,25 +9,24 @@ import openmm
 
 from openmm_exactrb.context import variables
 from openmm_exactrb.context.timings import Timings
-from openmm_exactrb.engines.device.flexible.molecules import NotServedError, found, served
-from openmm_exactrb.engines.device.library import TYPE, describe, library
+from openmm_exactrb.engines.device.flexible.molecules import NotServedError, served
 from openmm_exactrb.engines.device.propagator import DevicePropagator
 from openmm_exactrb.engines.engine import Engine, Propagator, Settings
+from openmm_exactrb.engines.library import TYPE, Device, describe, library
 from openmm_exactrb.errors import MissingLibraryError
 from openmm_exactrb.moves import Op, of_substep
+from openmm_exactrb.multiple_time_steps.found import found
 from openmm_exactrb.openmm_access import platforms
-from openmm_exactrb.openmm_access.rebind import rebind
 from openmm_exactrb.rotors import ROTORS
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.substeps import Drift
 from openmm_exactrb.support.descriptions import mismatch
-from openmm_exactrb.support.warn import warn
 
 _ROTORS = ("exact", "exact_numpy", "exact_compiled")
 
 
 def _unsupported(settings: Settings) -> str | None:
-    """Return the reason why the rotor, the thermostat, a constraint or a substep is not supported, or None."""
+    """Return the reason why settings are not supported, or why the library is missing, or None."""
     thermostat, rotor, scheme = settings.thermostat, settings.rotor, settings.scheme
     if settings.constraints:
         return f"the device supports only constraints of the System, not {settings.constraints[0]!r} in constraints="
@@ -42,7 +41,8 @@ def _unsupported(settings: Settings) -> str | None:
     try:
         for row in scheme.rows:
             of_substep(*row)
-    except ValueError as error:
+        library()
+    except (ValueError, MissingLibraryError) as error:
         return str(error)
     return None
 
@@ -51,13 +51,13 @@ def _unsupported_in(context: Any, settings: Settings) -> str | None:
     """Return the reason why a Context is not supported, or None."""
     platform = context.getPlatform()
     name = platform.getName()
-    if name not in platforms.DEVICES:
-        return f"the device engine needs the platform CUDA, HIP or OpenCL, not {name}"
-    if "," in platform.getPropertyValue(context, "DeviceIndex"):
+    if name not in platforms.DEVICES + platforms.PROCESSORS:
+        return f"the device engine needs the platform CUDA, HIP, OpenCL, CPU or Reference, not {name}"
+    if name in platforms.DEVICES and "," in platform.getPropertyValue(context, "DeviceIndex"):
         return "the device engine needs a Context on one device, not on several"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the propagator issues these warnings
-        bodies, _, fast = found(context, settings)
+        bodies, _, fast = found(context, settings.named, settings.fast)
     try:
         molecules, evaluated = served(context, bodies, fast, settings)
     except NotServedError as error:
@@ -86,13 +86,10 @@ def _unsupported_beside_molecules(settings: Settings) -> str | None:
 
 
 def _advice(context: Any, settings: Settings) -> tuple[bool, str]:
+    name = context.getPlatform().getName()
     if why := platforms.no_gpu(context):
         return False, why
-    try:
-        library()
-    except MissingLibraryError as error:
-        return False, str(error)
-    return True, f"{context.getPlatform().getName()} computes on a GPU"
+    return True, f"{name} computes on a GPU"
 
 
 def _marks(settings: Settings) -> tuple[float, ...]:
@@ -100,28 +97,15 @@ def _marks(settings: Settings) -> tuple[float, ...]:
 
 
 def _declare(integrator: openmm.CustomIntegrator, settings: Settings) -> None:
-    """Replace the C++ integrator in a Python object by a program integrator with the variables of this package."""
-    try:
-        made = library().make()
-    except MissingLibraryError as error:
-        raise ValueError(f"{error}. You can use engine='host' instead") from error
-    made.setStepSize(settings.h)
-    made.setIntegrationForceGroups(settings.groups)
-    integrator.this, made.this = made.this, integrator.this
     variables.declare_device(integrator, settings.own_numbers)
 
 
+def _release(integrator: openmm.CustomIntegrator) -> None:
+    """Delete the program of an integrator."""
+    Device(library(), integrator).load("")
+
+
 def _propagator(context: Any, integrator: openmm.CustomIntegrator, settings: Settings, timings: Timings) -> Propagator:
-    """Return the propagator of an integrator, which is first replaced by a program integrator if necessary."""
-    if not library().owns(integrator):
-        if integrator.getGlobalVariable(0) in _marks(settings):
-            warn(
-                "a checkpoint of the device engine was loaded before the engine was chosen, so the run continues from "
-                "positions and velocities, and is not bit-identical: call step(0) before loadCheckpoint()"
-            )
-        program = openmm.CustomIntegrator(0.0)
-        _declare(program, settings)
-        rebind(context, integrator, program)
     return DevicePropagator(context, integrator, settings, timings)
 
 
@@ -138,6 +122,7 @@ DEVICE = Engine(
     advice=_advice,
     marks=_marks,
     declare=_declare,
+    release=_release,
     propagator=_propagator,
     prepare_to_read=_prepare_to_read,
     information=describe,

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from openmm_exactrb.engines.device.library import Device
 from openmm_exactrb.engines.device.program import Launch, Operation, Program, Source
 from openmm_exactrb.engines.device.segments import Segment, Table, merged
-from openmm_exactrb.mathematics.elliptic import RULES
+from openmm_exactrb.engines.library import Device
+from openmm_exactrb.mathematics.compensated import exactly
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
 from openmm_exactrb.mechanics.divergence import LIGHT
-from openmm_exactrb.mechanics.state import BodyState
+from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.moves import MOVE, Op
 from openmm_exactrb.rotors.exact import constants
 from openmm_exactrb.support.types import Array, Indices
@@ -57,6 +57,8 @@ class Demands:
         Whether heat exchanges multiply all momenta by common factors.
     own : tuple of str
         Source texts of the users' moves, in the order of their numbers.
+    pairs : bool
+        Whether numbers of the state have low parts, as on processors.
     """
 
     memory: tuple[int, int] = (0, 1)
@@ -65,6 +67,36 @@ class Demands:
     displaces: bool = False
     scales: bool = False
     own: tuple[str, ...] = ()
+    pairs: bool = False
+
+    @property
+    def memory_defines(self) -> tuple[tuple[str, int], ...]:
+        """The macros of the kernels for stored forces."""
+        (forces, per_step), (differences, of_differences) = self.memory, self.differences
+        return (
+            ("MEMORY", max(forces, 1)),
+            ("PER_STEP", per_step),
+            ("DIFFERENCES", max(differences, 1)),
+            ("DIFFERENCES_PER_STEP", of_differences),
+            ("KEEPS_DIFFERENCES", int(differences > 0)),
+            ("GRADIENTS", int(self.displaces)),
+            ("SCALES", int(self.scales)),
+        )
+
+    @property
+    def state_element(self) -> int:
+        """The number of bytes of a number of the state."""
+        return 16 if self.pairs else 8
+
+    def upload(self, device: Device, name: str, values: Array) -> None:
+        """Write double-doubles (2, ...) to an array of the state."""
+        device.upload(name, np.stack((values[0], values[1]), axis=-1) if self.pairs else values[0])
+
+    def download(self, device: Device, name: str, shape: tuple[int, int]) -> Array:
+        """Read double-doubles (2, ...) from an array of the state with this shape."""
+        if self.pairs:
+            return np.moveaxis(device.download(name, np.empty((*shape, 2))), -1, 0)
+        return exactly(device.download(name, np.empty(shape)))
 
 
 def parts_of(bodies: RigidBodies, demands: Demands, others: Indices) -> list[RigidPart]:
@@ -73,6 +105,8 @@ def parts_of(bodies: RigidBodies, demands: Demands, others: Indices) -> list[Rig
     chosen[others] = False
     small = [kind for kind in bodies.kinds if kind.particles.shape[1] <= LARGE]
     large = [kind for kind in bodies.kinds if kind.particles.shape[1] > LARGE]
+    if demands.pairs:  # on a processor, a thread moves a body of any size
+        small, large = small + large, []
     made = (RigidPart(bodies, small, chosen, demands), RigidPart(bodies, large, chosen, demands, "large_", LANES))
     return [part for part in made if part.n]
 
@@ -105,25 +139,21 @@ class RigidPart:
         own = [_own(number, text) for number, text in enumerate(demands.own)]
         sizes = {kind.particles.shape[1] for kind in self._kinds}
         defines: list[tuple[str, object]] = [
-            *zip(("SIX_NODES", "TEN_NODES"), map(_sum_of, RULES), strict=True),
             ("BODIES", self.n),
             ("LANES", self._lanes),
             *([("SITES", *sizes)] if len(sizes) == 1 and self._lanes == 1 else []),
-            ("MEMORY", demands.memory[0]),
-            ("PER_STEP", demands.memory[1]),
-            ("DIFFERENCES", demands.differences[0]),
-            ("DIFFERENCES_PER_STEP", demands.differences[1]),
-            ("GRADIENTS", int(demands.displaces)),
-            *([("SCALES", 1)] if demands.scales else []),
+            *demands.memory_defines,
             ("STILL", STILL),
             ("LIGHT", LIGHT),
             ("BLOCK", BLOCK),
             ("GROUPS", GROUPS),
             ("OWN_MOVES", " ".join(case for _, case in own)),
         ]
-        body = "context.cl", "rotation.cl", "random.cl", "body.cl"
+        body = "context.cl", "nodes.cl", "rotation.cl", "random.cl", "body.cl"
         return Source(
-            (*body, *(text for text, _ in own), "rigid.cl", "rigid_updates.cl", "sums.cl", "kinetic.cl"), tuple(defines)
+            "rigid",
+            (*body, *(text for text, _ in own), "rigid.cl", "rigid_updates.cl", "sums.cl", "kinetic.cl"),
+            tuple(defines),
         )
 
     def _named(self, *names: str) -> tuple[str, ...]:
@@ -141,7 +171,7 @@ class RigidPart:
             to.array(name, values.size, element=values.itemsize)
         for copied in (False, True)[: 1 + self._demands.copied]:
             for name, of in zip(self.state(copied), _STATE, strict=True):
-                to.array(name, _ROWS[of] * self.n, saved=True)
+                to.array(name, _ROWS[of] * self.n, self._demands.state_element, saved=True)
         memory, differences, here = self._named("last", "differences", "here")
         to.array(memory, 6 * self.n * self._demands.memory[0], saved=True)
         to.array(differences, 6 * self.n * self._demands.differences[0], saved=True)
@@ -178,6 +208,11 @@ class RigidPart:
         tables = self._named("kind", "kinds", "constants")
         kinetic = Launch(self._source, "kinetic", threads, (*tables, *self.state(copied), sums), BLOCK)
         return [kinetic, Launch(self._source, "total", BLOCK, (sums, "totals", int(adds)), BLOCK)]
+
+    def kinetic_by_kind(self, device: Device) -> Array:
+        """Return the kinetic energies that the last reductions found: of translation, rotation and other particles."""
+        sums = device.download(self._named("kinetic")[0], np.empty((GROUPS, 3))).sum(axis=0)
+        return np.array([sums[0], sums[1], 0.0])
 
     def pushed(self, copied: bool, to_copy: bool) -> list[Operation]:
         """Return operations that add to state(to_copy) the change of the Context's velocities since state(copied)."""
@@ -222,31 +257,25 @@ class RigidPart:
         index = np.stack([self.columns, flexible[self.columns]])
         device.upload(self._prefix + "index", index.astype(np.int32))
 
-    def write(self, device: Device, state: BodyState, copied: bool = False) -> None:
+    def write(self, device: Device, state: State, copied: bool = False) -> None:
         """Write the part of a state for these bodies to the device."""
         turning, columns = self._turning, self.columns
-        q, L = np.zeros((4, self.n)), np.zeros((3, self.n))
-        q[0] = 1.0
-        q[:, turning], L[:, turning] = state.q[:, columns[turning]], state.m[:, columns[turning]]
-        values = (state.R[:, columns], state.P[:, columns], q, L)
+        q, L = np.zeros((2, 4, self.n)), np.zeros((2, 3, self.n))
+        q[0, 0] = 1.0
+        q[:, :, turning], L[:, :, turning] = state.q[:, :, columns[turning]], state.m[:, :, columns[turning]]
+        values = (state.R[:, :, columns], state.P[:, :, columns], q, L)
         for name, array in zip(self.state(copied), values, strict=True):
-            device.upload(name, array)
+            self._demands.upload(device, name, array)
 
-    def read(self, device: Device, out: BodyState, copied: bool = False) -> None:
+    def read(self, device: Device, out: State, copied: bool = False) -> None:
         """Read the state of these bodies from the device into `out`, the state of all bodies."""
         R, P, q, L = (
-            device.download(name, np.empty((_ROWS[of], self.n)))
+            self._demands.download(device, name, (_ROWS[of], self.n))
             for name, of in zip(self.state(copied), _STATE, strict=True)
         )
         turning, columns = self._turning, self.columns
-        out.R[:, columns], out.P[:, columns] = R, P
-        out.q[:, columns[turning]], out.m[:, columns[turning]] = q[:, turning], L[:, turning]
-
-
-def _sum_of(rule: tuple[Array, Array]) -> str:
-    """Return the source of a sum over the nodes of a quadrature rule, for the integrand in kernels/rotation.cl."""
-    pairs = zip(*rule, strict=True)
-    return "(" + "+".join(f"{float(weight)!r}*integrand({float(x[0])!r}*u, x, z, b)" for x, weight in pairs) + ")"
+        out.R[:, :, columns], out.P[:, :, columns] = R, P
+        out.q[:, :, columns[turning]], out.m[:, :, columns[turning]] = q[:, :, turning], L[:, :, turning]
 
 
 def _constants(kind: Kind) -> Iterator[tuple[float, ...]]:

@@ -127,10 +127,17 @@ def divided(
 
 
 def merged(moves: Iterable[Move]) -> tuple[Move, ...]:
-    """Return the moves of a segment, with adjacent additive moves of the same kind merged."""
+    """Return the moves of a segment, with adjacent additive moves of the same kind in the same step merged.
+
+    Moves of two steps are not merged, so that the result does not depend on how steps are divided into calls.
+    """
     rows: list[Move] = []
     for move in moves:
-        if rows and rows[-1].op == move.op and move.op in (Op.DRIFT, Op.KICK, Op.FAST_KICK):
+        if (
+            rows
+            and (rows[-1].op, rows[-1].late) == (move.op, move.late)
+            and move.op in (Op.DRIFT, Op.KICK, Op.FAST_KICK)
+        ):
             rows[-1] = replace(rows[-1], part=rows[-1].part + move.part)
         else:
             rows.append(move)
@@ -163,16 +170,38 @@ def _joined(segments: Sequence[Segment]) -> list[Segment]:
     return joined
 
 
+def _drifts(moves: Sequence[Move]) -> int:
+    """Return the number of drifts with which a sequence of moves begins."""
+    return len(list(itertools.takewhile(lambda move: move.op == Op.DRIFT, moves)))
+
+
 @dataclass(frozen=True)
 class Step:
-    """The segments of a step. The first segment uses forces that are already known."""
+    """The segments of a step. The first segment uses forces that are already known.
+
+    Attributes
+    ----------
+    segments : tuple of Segment
+    needs : int or None
+        The force groups (bits) whose forces the first segment needs.
+    held, leading : int
+        The numbers of drifts at the end and at the start of a step that are merged, because the next call performs the
+        drifts at the end; zero if the Context shows the state in which a step ends.
+    """
 
     segments: tuple[Segment, ...]
-    needs: int | None  # the force groups whose forces the first segment needs
+    needs: int | None
+    held: int = 0
+    leading: int = 0
 
     @classmethod
-    def of(cls, rows: Rows, splits_exchanges: bool = False, remembered: int | None = None) -> Step:
-        """Return the segments of a scheme's sequence; the arguments are those of `divided`."""
+    def of(
+        cls, rows: Rows, splits_exchanges: bool = False, remembered: int | None = None, processed: bool = False
+    ) -> Step:
+        """Return the segments of a sequence; `processed` is true for a processed scheme, which shows other positions.
+
+        The other arguments are those of `divided`.
+        """
         rows = tuple(rows)
         known = known_after(divided(rows))
         segments = divided(rows, known, splits_exchanges, remembered)
@@ -181,14 +210,28 @@ class Step:
         before = itertools.takewhile(lambda segment: segment.groups is None, segments)
         needs = next((move.groups for segment in before for move in segment.moves if move.groups), None)
         segments[-1] = replace(segments[-1], shows=True)
-        return cls(tuple(_joined(segments)), needs)
+        held, leading = _drifts(segments[-1].moves[::-1]), _drifts(segments[0].moves)
+        merges = processed and held > 0 and leading > 0
+        return cls(tuple(_joined(segments)), needs, held * merges, leading * merges)
 
     @property
     def between(self) -> Segment:
         """The last segment of a step, joined with the first segment of the next step."""
         first, last = self.segments[0], self.segments[-1]
-        late = tuple(replace(move, late=True) for move in first.moves)
-        return replace(last, moves=last.moves + late, shows=False, leaves=first.leaves)
+        early, late = first.moves[: self.leading], (replace(move, late=True) for move in first.moves[self.leading :])
+        return replace(last, moves=(*last.moves, *early, *late), shows=False, leaves=first.leaves)
+
+    @property
+    def hold(self) -> Segment:
+        """The last segment of a step without the drifts at its end."""
+        last = self.segments[-1]
+        return replace(last, moves=last.moves[: len(last.moves) - self.held], shows=False)
+
+    @property
+    def resume(self) -> Segment:
+        """The drifts that `hold` omits, joined with the first segment of the next step."""
+        first, last = self.segments[0], self.segments[-1]
+        return replace(first, moves=last.moves[len(last.moves) - self.held :] + first.moves)
 
     def evaluations(self, groups: int) -> int:
         """Return the number of evaluations per step of the forces of given groups."""
@@ -263,6 +306,9 @@ class Part(Protocol):
     def reductions(self, copied: bool, adds: bool) -> Sequence[Operation]:
         """Return the operations that write kinetic energies and the number of invalid bodies to "totals"."""
 
+    def kinetic_by_kind(self, device: Any) -> Array:
+        """Return the kinetic energies that the last reductions found: of translation, rotation and other particles."""
+
     def pushed(self, copied: bool, to_copy: bool) -> Sequence[Operation]:
         """Return operations that add to state(to_copy) the change of the Context's velocities since state(copied)."""
 
@@ -323,7 +369,11 @@ class Sequences:
         return [operation for part in self.parts for operation in getattr(part, method)(*arguments)]
 
     def write_step(self, to: Program, step: Step, processed: bool) -> None:
-        """Write the sequences of steps: "forces", "open", "body", "between", "close" and "report"."""
+        """Write the sequences of steps: "forces", "open", "body", "between", "close" and "report".
+
+        If steps hold drifts, a call ends with "hold" instead of "close", and the next call begins with "resume" instead
+        of "open".
+        """
         first, *middle, last = step.segments
         ends: list[Operation] = [program.STEP, program.add("turn", 1.0)]
         placed = self.moved(Segment(places=True)) if processed else []  # the Context shows other positions
@@ -333,13 +383,24 @@ class Sequences:
         to.sequence("between", [*self.moved(step.between), *ends])
         to.sequence("close", [*self.moved(last), *ends, *self._sites])
         to.sequence("report", self.reductions(copied=True))
+        if processed:
+            to.sequence("report_inner", self.reductions(copied=False))
+        if step.held:
+            to.sequence("hold", [*self.moved(step.hold), *ends])
+            to.sequence("resume", self.moved(step.resume))
 
-    def write_processor(self, to: Program, scheme: Scheme) -> None:
-        """Write "enter", the map to inner coordinates, and the maps back: "output" and the exact "postprocess"."""
+    def write_processor(self, to: Program, scheme: Scheme, held: Substeps) -> None:
+        """Write "enter", the map to inner coordinates, and the maps back: "output" and the exact "postprocess".
+
+        The maps back named "output_held" and "postprocess_held" begin with the drifts `held` that a call omitted.
+        """
         to.sequence("enter", [*self._copies(shown=False), *self._way(scheme.processor, copied=False)])
         placed = self.moved(Segment(places=True, copied=True))  # because forces are evaluated at these positions
         to.sequence("postprocess", [*self._copies(shown=True), *placed, *self._way(scheme.postprocessor, copied=True)])
         to.sequence("output", [*self._copies(shown=True), *self._way(scheme.output, copied=True)])
+        if held:
+            for name, rows in (("postprocess", scheme.postprocessor), ("output", scheme.output)):
+                to.sequence(f"{name}_held", [*self._copies(shown=True), *self._way((*held, *rows), copied=True)])
 
     def _copies(self, shown: bool) -> list[Operation]:
         """Return the operations that copy the state in inner coordinates to the shown state, or vice versa."""

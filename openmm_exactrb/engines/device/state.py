@@ -9,9 +9,9 @@ import numpy as np
 
 from openmm_exactrb.context import variables
 from openmm_exactrb.context.synchronisation import Inner, Synchronisation
-from openmm_exactrb.engines.device.library import Device
+from openmm_exactrb.engines.library import Device
 from openmm_exactrb.mechanics.fit import fit
-from openmm_exactrb.mechanics.state import BodyState, State
+from openmm_exactrb.mechanics.state import State
 
 # Bits of external changes, see `Device.changes`.
 SET, FORCES, LOADED = 3, 4, 8
@@ -83,9 +83,9 @@ class DeviceState(Synchronisation):
 
     def _upload(self) -> None:
         for part in self._parts:
-            part.write(self._device, self.state.rounded, copied=True)
+            part.write(self._device, self.state, copied=True)
             if self._processed and self.inner is not None:
-                part.write(self._device, self.inner.state.rounded, copied=False)
+                part.write(self._device, self.inner.state, copied=False)
         if self._processed and self.inner is None:
             variables.put(self._integrator(), variables.COORDINATES, 0.0)
 
@@ -94,13 +94,17 @@ class DeviceState(Synchronisation):
         fingerprint = variables.get(self._integrator(), variables.COORDINATES)
         return Inner(self._read(copied=False), fingerprint) if fingerprint else None
 
+    def on_device(self, shown: bool) -> State:
+        """Return the state on the device: the shown state, or the state in inner coordinates."""
+        return self._read(copied=shown)
+
     def _read(self, copied: bool = True) -> State:
         """Read the shown state from the device or, if not `copied`, the state in inner coordinates."""
         n, turning = len(self.bodies), self.bodies.n_turning
-        out = BodyState(np.empty((3, n)), np.empty((3, n)), np.empty((4, turning)), np.empty((3, turning)))
+        out = State(*(np.zeros((2, *shape)) for shape in ((3, n), (3, n), (4, turning), (3, turning))))
         for part in self._parts:
             part.read(self._device, out, copied)
-        return State.of(out)
+        return out
 
     def push(self) -> None:
         """Write the state to the Context and to the device."""

@@ -32,7 +32,8 @@ Bound = list[tuple[Flow[State], float]]
 class HostEnvironment:
     """The `openmm_exactrb.environment.Environment` of a Context, to which substeps are bound.
 
-    `slow` contains the forces of kicks, and `all_forces` the forces of all active force groups.
+    `slow` contains the forces of kicks, and `all_forces` the forces of all active force groups. In `whole`, unlike in
+    `bodies`, each constrained pair of particles is a linear body (see `openmm_exactrb.multiple_time_steps.found`).
     """
 
     bodies: RigidBodies
@@ -46,6 +47,7 @@ class HostEnvironment:
     numbers: Numbers
     settings: Settings
     positions: Positions
+    whole: RigidBodies
     key: int = 0
     last_exchange: tuple[State, State] | None = None
 
@@ -76,7 +78,8 @@ class HostEnvironment:
 
     def flexible(self) -> NDArray[np.bool_]:
         """Return a mask (N,) of the bodies in molecules of more than one body."""
-        return in_flexible_molecules(self.positions.context, self.bodies, self.settings.named)
+        whole, first = self.whole, self.bodies.first_particle
+        return in_flexible_molecules(self.positions.context, whole, self.settings.named)[whole.owner[first]]
 
     @property
     def degrees_of_freedom(self) -> tuple[int, int]:

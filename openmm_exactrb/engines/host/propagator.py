@@ -24,14 +24,16 @@ from openmm_exactrb.context.updates import ContextUpdates, conserve_energy
 from openmm_exactrb.context.variables import Numbers
 from openmm_exactrb.engines.engine import Settings
 from openmm_exactrb.engines.host.environment import Bound, HostEnvironment
-from openmm_exactrb.mechanics.divergence import DivergenceCheck, Overheating
+from openmm_exactrb.engines.host.storage import ProgramStorage
+from openmm_exactrb.engines.library import library, of_library
+from openmm_exactrb.mechanics.bodies import RigidBodies
+from openmm_exactrb.mechanics.divergence import DivergenceCheck, Overheating, freedom_by_kind, kinetic_by_kind
 from openmm_exactrb.mechanics.free_motion import Kinetic, free_motion
 from openmm_exactrb.mechanics.state import Flow, ForceMemory, State
 from openmm_exactrb.multiple_time_steps.bonded import BondedNumbers
-from openmm_exactrb.multiple_time_steps.fast_forces import fast_forces
+from openmm_exactrb.multiple_time_steps.found import found
 from openmm_exactrb.multiple_time_steps.inner_drift import InnerDrift
 from openmm_exactrb.openmm_access import arrays
-from openmm_exactrb.openmm_access.units import gas_constant_times
 from openmm_exactrb.schemes.sequence import behind_exchange, inverse, through, up_to_kick
 from openmm_exactrb.schemes.thermostatted import canonical_momenta
 
@@ -78,7 +80,7 @@ class Clock:
         present = self.time + self._drifted
         openmm.Context.setStepCount(context, self.number - n)
         context.setTime(present - (n - 1) * h)
-        variables.step_openmm(integrator, n)
+        (library() if of_library(integrator) else variables).step_openmm(integrator, n)
         openmm.Context.setStepCount(context, self.number)
         context.setTime(present)
 
@@ -100,14 +102,17 @@ class HostPropagator:
         self, context: openmm.Context, integrator: openmm.CustomIntegrator, settings: Settings, timings: Timings
     ) -> None:
         rotor = settings.rotor
-        self.sync = Synchronisation(context, integrator, settings.named)
+        self._found = found(context, settings.named, settings.fast)
+        self.sync = Synchronisation(
+            context, integrator, settings.named, bodies=self._found.bodies, storage=_storage(settings)
+        )
         self._kinetic = free_motion(self.sync.bodies, rotor, settings.constraints)
         self.updates = ContextUpdates(context, settings.named or [], self._kinetic.lost)
         self._conserves = conserve_energy(context.getSystem())
         self._timings, self._integrator = timings, weakref.ref(integrator)
         self._positions = self.sync.positions
         self._bonded = BondedNumbers.of(self._system, self.sync.bodies.owner) if settings.fast else None
-        self._find_fast_forces(settings)
+        self._take_fast_forces(settings)
         self._clock = Clock(context)
         self._version: object = None
         self._processed, self._h = False, 0.0
@@ -147,7 +152,7 @@ class HostPropagator:
             environment.numbers.store(integrator)
             self.sync.push()
         if self._overheating is not None:
-            self._overheating.see(self._clock.time, self.sync.state)
+            self._overheating.see(self._clock.time, lambda: kinetic_by_kind(self.sync.bodies, self.sync.state))
         if n:
             self._left = self.sync.state
 
@@ -172,7 +177,9 @@ class HostPropagator:
         self._clock.begin()
         self._positions.version += 1  # other quantities on which forces depend may have changed
         if self._bonded is not None and self._bonded.changed(self._system):
-            self._find_fast_forces(settings())
+            present = settings()
+            self._found = self._found.renewed(self._system, present.fast)
+            self._take_fast_forces(present)
             self._version, self.sync.inner = None, None
         if version != self._version:
             self._bind(settings())
@@ -186,11 +193,11 @@ class HostPropagator:
     def _system(self) -> openmm.System:
         return self.sync.context.getSystem()
 
-    def _find_fast_forces(self, settings: Settings) -> None:
-        """Find the fast forces of the System with the present numbers of its forces."""
-        found = fast_forces(self._system, self.sync.bodies, settings.fast)
-        arguments = self.sync, settings.rotor, self._timings, not settings.constraints
-        self._inner_drift = None if found is None else InnerDrift(found, *arguments)
+    def _take_fast_forces(self, settings: Settings) -> None:
+        """Prepare inner steps for the fast forces."""
+        fast, arguments = self._found.fast, (self.sync, settings.rotor, self._timings, not settings.constraints)
+        self._resonances = self._found.resonances(self._system)
+        self._inner_drift = None if fast is None else InnerDrift(fast, *arguments)
 
     def _make(self, n: int) -> None:
         """Perform n steps from the present state."""
@@ -313,7 +320,8 @@ class HostPropagator:
         self._h, self._processed, self._slow = h, bool(scheme.processor), slow
         sync.fingerprint = settings.fingerprint
         slow.memory = self._memory = ForceMemory(*scheme.memory)
-        self._overheating = self._watch(settings)
+        watched = settings.watched if self._conserves else None
+        self._overheating = watched and Overheating(freedom_by_kind(bodies), *watched)
         self.environment = environment = HostEnvironment(
             bodies,
             np.where(bodies.principal_moments > 0.0, bodies.principal_moments, np.inf),
@@ -326,6 +334,7 @@ class HostPropagator:
             Numbers(settings.numbers),
             settings,
             self._positions,
+            self._found.whole,
         )
         step = canonical_momenta(scheme.sequence) if kinetic.split else scheme.sequence
         self._step, self._output = environment.bound(step, h), environment.bound(scheme.output, h)
@@ -335,14 +344,6 @@ class HostPropagator:
         self._processor, self._postprocessor = (
             environment.bound(rows, h) for rows in (scheme.processor, scheme.postprocessor)
         )
-
-    def _watch(self, settings: Settings) -> Overheating | None:
-        """Return the temperature monitor for a thermostat with friction, or None for other settings."""
-        thermostat = settings.thermostat
-        if thermostat is None or thermostat.relaxation is None or not (self._conserves and settings.check):
-            return None
-        kT = gas_constant_times(thermostat.temperature)
-        return Overheating(self.sync.bodies, kT, thermostat.relaxation)
 
     def _split(
         self, settings: Settings, forces: ContextForces, divergence: DivergenceCheck
@@ -357,8 +358,8 @@ class HostPropagator:
         if inner is not None and inner.fast.acts(scheme, settings.h):
             h = settings.h / settings.splits
             drift, split, slow = inner.split(forces, kinetic, self._timed, divergence, scheme, h)
-            if any(substep.kicks for substep, _ in settings.scheme.sequence):  # hybrid Monte Carlo rejects hot states
-                inner.resonances.warn(scheme, abs(h))
+            if self._resonances is not None and settings.accepts_hot_states:
+                self._resonances.warn(scheme, abs(h))
         if constrained:  # the drift of a cluster may fail, unlike that of a rigid body
             drift, split = _checked(drift, check), {name: _checked(some, check) for name, some in split.items()}
         return Kinetic(drift, displaced, kinetic.tangent, split), slow
@@ -377,6 +378,17 @@ class HostPropagator:
             return state
 
         return flow
+
+
+def _storage(settings: Settings) -> Callable[[Any, RigidBodies], variables.Storage]:
+    """Return the function that returns where an integrator stores the state."""
+
+    def storage(integrator: Any, bodies: RigidBodies) -> variables.Storage:
+        if of_library(integrator):
+            return ProgramStorage(integrator, bodies, settings.memory)
+        return variables.PerDof(integrator, bodies)
+
+    return storage
 
 
 def _checked(flow: Callable[[State, Any], State], check: Callable[[State], Any]) -> Callable[[State, Any], State]:

@@ -10,7 +10,7 @@ from openmm_exactrb.context import variables
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.engines.engine import Engine, Settings
 from openmm_exactrb.engines.host.propagator import HostPropagator
-from openmm_exactrb.openmm_access.rebind import rebind
+from openmm_exactrb.engines.library import of_library
 
 
 def _marks(settings: Settings) -> tuple[float, ...]:
@@ -18,20 +18,18 @@ def _marks(settings: Settings) -> tuple[float, ...]:
 
 
 def _declare(integrator: openmm.CustomIntegrator, settings: Settings) -> None:
-    scheme = settings.scheme
-    variables.declare(integrator, settings.own_numbers, sum(scheme.memory) if scheme.processor else None)
+    """Give an integrator its variables; one of the library stores the state itself."""
+    if of_library(integrator):
+        variables.declare_device(integrator, settings.own_numbers)
+    else:
+        variables.declare(integrator, settings.own_numbers, settings.memory)
 
 
 def _propagator(
     context: Any, integrator: openmm.CustomIntegrator, settings: Settings, timings: Timings
 ) -> HostPropagator:
-    """Return a propagator for an integrator, which is first given the variables of the host if necessary."""
-    own = (variables.NOTHING, *_marks(settings))
-    if not variables.declared(integrator) or integrator.getGlobalVariable(0) not in own:
-        program = openmm.CustomIntegrator(0.0)
-        _declare(program, settings)
-        program.setIntegrationForceGroups(settings.groups)
-        rebind(context, integrator, program)
+    if integrator.getGlobalVariable(0) not in (variables.NOTHING, *_marks(settings)):  # the state of another engine
+        variables.mark(integrator, variables.NOTHING)
     return HostPropagator(context, integrator, settings, timings)
 
 

@@ -10,7 +10,7 @@ from openmm_exactrb.engines.device.flexible import blocks
 from openmm_exactrb.engines.device.flexible.blocks import Group
 from openmm_exactrb.engines.device.flexible.molecules import Molecules
 from openmm_exactrb.engines.device.flexible.part import Flexible, FlexiblePart
-from openmm_exactrb.engines.device.library import Device, library
+from openmm_exactrb.engines.library import Device, library
 from openmm_exactrb.engines.device.program import Program
 from openmm_exactrb.engines.device.rigid import Demands
 from openmm_exactrb.engines.device.segments import Segment, Table

@@ -11,8 +11,8 @@ import openmm
 import pytest
 
 from on_device import device_platform
-from openmm_exactrb.engines.device import library as module
-from openmm_exactrb.engines.device.library import Device, library
+from openmm_exactrb.engines import library as module
+from openmm_exactrb.engines.library import Device, library
 from openmm_exactrb.errors import MissingLibraryError
 
 ROOT = Path(__file__).parents[3]

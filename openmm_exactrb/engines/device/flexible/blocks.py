@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -66,8 +67,11 @@ class Blocks:
         return len(self.first_atom) - 1
 
 
-def blocks_of(groups: Sequence[Group], terms: Sequence[Indices], n_particles: int) -> Blocks:
-    """Divide clusters into blocks of similar cost, such that few terms (., k) involve more than one block."""
+def blocks_of(groups: Sequence[Group], terms: Sequence[Indices], n_particles: int, divides: bool = True) -> Blocks:
+    """Divide clusters into blocks of similar cost, such that few terms (., k) involve more than one block.
+
+    Unless it `divides` large molecules, no term involves more than one block.
+    """
     count = sum(len(group.particles) for group in groups)
     cluster_of, sizes, smallest = np.full(n_particles, -1), np.zeros(count, int), np.zeros(count, int)
     number: list[Indices] = []
@@ -77,7 +81,7 @@ def blocks_of(groups: Sequence[Group], terms: Sequence[Indices], n_particles: in
         cluster_of[group.particles] = number[-1][:, None]
         sizes[number[-1]], smallest[number[-1]] = group.particles.shape[1], group.particles.min(axis=1)
     members = [cluster_of[particles] for particles in terms if particles.size]
-    block = _divided(_costs(members, sizes), _molecules(members, count), smallest)
+    block = _divided(_costs(members, sizes), _molecules(members, count), smallest, divides)
     order = np.lexsort((smallest, sizes, block))
     rank = np.argsort(order)
     starts = np.cumsum([0, *sizes[order]])[:-1]
@@ -117,13 +121,13 @@ def _molecules(members: Sequence[Indices], count: int) -> Indices:
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
-def _divided(cost: Indices, molecule: Indices, smallest: Indices) -> Indices:
+def _divided(cost: Indices, molecule: Indices, smallest: Indices, divides: bool) -> Indices:
     """Return the index of the block of each cluster; a block contains whole molecules, or part of a large molecule.
 
     A molecule is divided in the order of its particles, which in a protein follows the chain.
     """
     total = np.bincount(molecule, cost).astype(int)
-    large = total > COST_OF_MOLECULE
+    large = total > (COST_OF_MOLECULE if divides else math.inf)
     first = np.full(len(total), smallest.max(initial=0))
     np.minimum.at(first, molecule, smallest)
     before = np.zeros(len(total), int)  # total cost of the small molecules that precede each molecule

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 import openmm
 
-from openmm_exactrb.context.synchronisation import require_positions
-from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.engines.device.flexible.blocks import Group
 from openmm_exactrb.engines.device.flexible.evaluated import Evaluated
 from openmm_exactrb.engines.device.flexible.inner import InnerSteps
@@ -20,8 +18,8 @@ from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.multiple_time_steps.bonded import BONDED_FORCES, acting, groups_of
 from openmm_exactrb.multiple_time_steps.compiled_forces import NO_TERMS, terms_of, unknown
 from openmm_exactrb.multiple_time_steps.excerpt import Excerpt, bonded_excerpt
-from openmm_exactrb.multiple_time_steps.fast_forces import FastForces, fast_forces
-from openmm_exactrb.openmm_access import arrays, parameters, platforms
+from openmm_exactrb.multiple_time_steps.fast_forces import FastForces
+from openmm_exactrb.openmm_access import parameters, platforms
 from openmm_exactrb.support.types import Array, Indices
 
 #: The largest number of atoms of a cluster on a GPU, where a single thread moves each cluster.
@@ -69,48 +67,6 @@ class Served(NamedTuple):
 
     molecules: tuple[Molecules, ...]
     evaluated: Evaluated | None = None
-
-
-class Found(NamedTuple):
-    """The bodies of a Context and its fast forces.
-
-    Attributes
-    ----------
-    bodies : RigidBodies
-        The bodies for the device engine. If there are flexible molecules, a constrained pair of particles is a cluster.
-    whole : RigidBodies
-        The bodies for the host engine, in which a constrained pair of particles is a linear body.
-    fast : FastForces or None
-    """
-
-    bodies: RigidBodies
-    whole: RigidBodies
-    fast: FastForces | None
-
-
-def found(context: Any, settings: Any) -> Found:
-    """Return the bodies of a Context and its fast forces."""
-    require_positions(context)
-    system, x = context.getSystem(), arrays.positions(context.getState(positions=True))
-    box = arrays.periodic_box(context)
-    whole = find_bodies(system, x, settings.named, box)
-    fast = fast_forces(system, whole, settings.fast)
-    if not len(whole.clusters) and fast is None:
-        return Found(whole, whole, None)
-    bodies = find_bodies(system, x, settings.named, box, pairs=True)
-    return Found(bodies, whole, _among(bodies, fast))
-
-
-def fast_of(system: openmm.System, whole: RigidBodies, bodies: RigidBodies, settings: Any) -> FastForces | None:
-    """Return the fast forces of a System with the present numbers of its forces; the bodies are those of `Found`."""
-    return _among(bodies, fast_forces(system, whole, settings.fast))
-
-
-def _among(bodies: RigidBodies, fast: FastForces | None) -> FastForces | None:
-    """Return fast forces that act on the bodies for the device engine."""
-    if fast is None or fast.excerpt is None:
-        return fast
-    return replace(fast, excerpt=replace(fast.excerpt, bodies=bodies))
 
 
 def served(context: Any, bodies: RigidBodies, fast: FastForces | None, settings: Any) -> Served:

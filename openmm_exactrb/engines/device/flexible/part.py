@@ -11,12 +11,13 @@ from openmm_exactrb.engines.device.flexible import constraints, tables
 from openmm_exactrb.engines.device.flexible.blocks import blocks_of
 from openmm_exactrb.engines.device.flexible.inner import Moves, moves_of, up_to_drifts
 from openmm_exactrb.engines.device.flexible.molecules import Molecules
-from openmm_exactrb.engines.device.library import Device
 from openmm_exactrb.engines.device.program import Launch, Operation, Program, Source, copy
 from openmm_exactrb.engines.device.rigid import BLOCK, GROUPS, STILL, Demands
 from openmm_exactrb.engines.device.segments import Segment, Table
+from openmm_exactrb.engines.library import Device
+from openmm_exactrb.mathematics.compensated import exactly, quotient, times
 from openmm_exactrb.mechanics.divergence import LIGHT
-from openmm_exactrb.mechanics.state import BodyState
+from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.moves import Op
 from openmm_exactrb.support.types import Array, Indices
 
@@ -52,7 +53,8 @@ class FlexiblePart:
     def __init__(self, flexible: Flexible, demands: Demands, prefix: str) -> None:
         molecules, self._particles, precision = flexible
         self._molecules, self._demands, self._prefix = molecules, demands, prefix
-        self.blocks = blocks_of(molecules.groups, tables.particles(molecules.terms), len(molecules.masses))
+        terms = tables.particles(molecules.terms)
+        self.blocks = blocks_of(molecules.groups, terms, len(molecules.masses), divides=not demands.pairs)
         self._precision, self._masses, self._body_of = precision, molecules.masses, molecules.body_of
         self._of_clusters, of_clusters = constraints.arrays(self.blocks)
         self._of_terms, of_terms = tables.arrays(molecules.terms, self.blocks, precision)
@@ -66,10 +68,9 @@ class FlexiblePart:
         demands = self._demands
         constants |= {"FINE": "float" if self._precision is np.float32 else "double", "STILL": STILL}
         constants |= {"BLOCK": BLOCK, "GROUPS": GROUPS, "LIGHT": LIGHT}
-        constants |= {"MEMORY": demands.memory[0], "PER_STEP": demands.memory[1]}
-        constants |= {"SCALES": 1} if demands.scales else {}
+        constants |= dict(demands.memory_defines)
         files = ("random.cl", "context.cl", "layout.cl", "fixed_sums.cl", "star.cl", "graph.cl", "bonded.cl")
-        return Source((*files, "inner.cl", "sums.cl", "flexible_updates.cl"), tuple(constants.items()))
+        return Source("flexible", (*files, "inner.cl", "sums.cl", "flexible_updates.cl"), tuple(constants.items()))
 
     def state(self, copied: bool) -> tuple[str, str]:
         """Return the names of the arrays of a state: positions and velocities."""
@@ -80,13 +81,14 @@ class FlexiblePart:
 
     def declare(self, to: Program) -> None:
         """Declare the arrays of the tables, of the state and of stored forces."""
+        demands = self._demands
         for name, values in self.tables().items():
             to.array(name, values.size, element=values.itemsize)
-        for copied in (False, True)[: 1 + self._demands.copied]:
+        for copied in (False, True)[: 1 + demands.copied]:
             for name in self.state(copied):
-                to.array(name, 3 * self.n, saved=True)
+                to.array(name, 3 * self.n, demands.state_element, saved=True)
         for name in ("y", "z"):
-            to.array(f"{self._prefix}{name}", 3 * self.n * self._open)
+            to.array(f"{self._prefix}{name}", 3 * self.n * self._open, demands.state_element)
         to.array(f"{self._prefix}memory", 3 * self.n * self._demands.memory[0], saved=True)
         to.array(f"{self._prefix}kinetic", 3 * GROUPS)
 
@@ -133,6 +135,11 @@ class FlexiblePart:
         total = Launch(self._source, "total", BLOCK, (sums, "totals", int(adds)), BLOCK)
         return [self._launch((0, 0), _PROJECTS, (x, x, v)), kinetic, total]
 
+    def kinetic_by_kind(self, device: Device) -> Array:
+        """Return the kinetic energies that the last reductions found: of translation, rotation and other particles."""
+        sums = device.download(f"{self._prefix}kinetic", np.empty((GROUPS, 3))).sum(axis=0)
+        return np.array([0.0, 0.0, sums[0]])
+
     def pushed(self, copied: bool, to_copy: bool) -> list[Operation]:
         """Return operations that add to state(to_copy) the change of the Context's velocities since state(copied)."""
         states = self.state(copied)[1], self.state(to_copy)[1]
@@ -158,21 +165,24 @@ class FlexiblePart:
             for name, values in every.items()
         }
 
-    def write(self, device: Device, state: BodyState, copied: bool = False) -> None:
+    def write(self, device: Device, state: State, copied: bool = False) -> None:
         """Write the part of a state for these bodies, and the positions of massless particles, to the device."""
         massive = self._mass > 0.0
-        x, v = self._particles[self.blocks.particles], np.zeros((self.n, 3))
-        x[massive] = state.R[:, self.columns[massive]].T
-        v[massive] = state.P[:, self.columns[massive]].T / self._mass[massive, None]
+        columns, mass = self.columns[massive], self._mass[massive, None]
+        x, v = exactly(self._particles[self.blocks.particles]), np.zeros((2, self.n, 3))
+        x[:, massive] = state.R[:, :, columns].swapaxes(1, 2)
+        v[:, massive] = quotient(state.P[:, :, columns].swapaxes(1, 2), mass)
         for name, values in zip(self.state(copied), (x, v), strict=True):
-            device.upload(name, values)
+            self._demands.upload(device, name, values)
 
-    def read(self, device: Device, out: BodyState, copied: bool = False) -> None:
+    def read(self, device: Device, out: State, copied: bool = False) -> None:
         """Read the state of these bodies from the device into `out`, the state of all bodies."""
         massive = self._mass > 0.0
-        x, v = (device.download(name, np.empty((self.n, 3)))[massive] for name in self.state(copied))
-        out.R[:, self.columns[massive]] = x.T
-        out.P[:, self.columns[massive]] = (v * self._mass[massive, None]).T
+        columns, mass = self.columns[massive], self._mass[massive, None]
+        shape = (self.n, 3)
+        x, v = (self._demands.download(device, name, shape)[:, massive] for name in self.state(copied))
+        out.R[:, :, columns] = x.swapaxes(1, 2)
+        out.P[:, :, columns] = np.array(times(mass, (v[0], v[1]))).swapaxes(1, 2)
 
     def flag(self, device: Device, flexible: NDArray[np.bool_]) -> None:
         """Write the flags (N,) of bodies in flexible molecules, but not of isolated pairs of atoms, to the device."""

@@ -1,9 +1,10 @@
 // Rigid bodies of all kinds: the state of a body, and its indices in the tables.
 //
-// The host defines macros. BODIES is the number of bodies, and LANES the number of threads per body (1 or a block).
-// MEMORY and PER_STEP are the numbers of stored forces in total and per step. DIFFERENCES and DIFFERENCES_PER_STEP are
-// these numbers for differences between displaced and undisplaced forces. GRADIENTS is nonzero if the scheme has
-// force-gradient kicks. SCALES is defined if heat exchanges multiply momenta by common factors.
+// The host defines macros, or data members on processors. BODIES is the number of bodies, and LANES the number of threads
+// per body (1 or a block). MEMORY and PER_STEP are the numbers of stored forces, at least 1 in total, and per step.
+// DIFFERENCES and DIFFERENCES_PER_STEP are these numbers for differences between displaced and undisplaced forces, which
+// are stored if KEEPS_DIFFERENCES is nonzero. GRADIENTS is nonzero if the scheme has force-gradient kicks, and SCALES if
+// heat exchanges multiply momenta by common factors.
 
 // The state of a body, the force on it, and the torque in its body frame. Unknown forces and torques are zero.
 typedef struct {
@@ -31,19 +32,19 @@ typedef struct {
 #define CONSTANTS 12
 #define ROW 4
 
-#ifdef SITES
-#define FOR_SITES _Pragma("unroll 4") for (int s = 0; s < SITES; s++)
-#else
-#define FOR_SITES for (int s = LANE; s < at.sites; s += LANES)
+// The number of particles of a body, which is a constant if all bodies have the same number.
+#ifndef SITES
+#define SITES row[2]
 #endif
+#define FOR_SITES _Pragma("unroll 4") for (int s = LANE; s < at.sites; s += LANES)
 #if LANES > 1
 #define LANE LOCAL_ID
-#define FOR_BODIES for (int i = GROUP_ID; i < BODIES; i += GLOBAL_SIZE/LOCAL_SIZE)
+#define FOR_BODIES for (OF_GROUP(i, BODIES))
 #define SHARED LOCAL double shared[LANES];
 #define SHARED_ARG LOCAL_ARG double*
 #else
 #define LANE 0
-#define FOR_BODIES for (int i = GLOBAL_ID; i < BODIES; i += GLOBAL_SIZE)
+#define FOR_BODIES for (OF_THREAD(i, BODIES))
 #define SHARED double shared[1];
 #define SHARED_ARG double*
 #endif
@@ -74,11 +75,7 @@ DEVICE inline Place place_of(int i, GLOBAL const int* kind, GLOBAL const int* ki
     GLOBAL const int* row = kinds+KIND_COLUMNS*kind[i];
     const int within = i-row[0], own = row[6] ? within : 0;
     Place p;
-#ifdef SITES
     p.sites = SITES;
-#else
-    p.sites = row[2];
-#endif
     p.atom = row[3]+within;
     p.atom_stride = row[1];
     p.site = row[4]+own;

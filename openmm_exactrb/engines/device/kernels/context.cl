@@ -9,6 +9,9 @@ typedef double number;
 // The type of a component of a force.
 typedef mm_long component;
 #define LOCAL_ARRAY(type, name, size) LOCAL type name[size]
+// The ranges of `for` over the indices of a thread, and over those of a block of threads.
+#define OF_THREAD(i, n) int i = GLOBAL_ID; i < (n); i += GLOBAL_SIZE
+#define OF_GROUP(i, n) int i = GROUP_ID; i < (n); i += GLOBAL_SIZE/LOCAL_SIZE
 
 // Unroll a loop, so that indices are constant and the compiler can keep arrays in registers.
 #define EACH(k, n) _Pragma("unroll") for (int k = 0; k < n; k++)

@@ -5,7 +5,7 @@
 // state.
 KERNEL void flexible_pushed(GLOBAL const mixed4* velm, GLOBAL const int4* places, GLOBAL const int* atoms, GLOBAL const number* v,
         GLOBAL number* v_to) {
-    for (int i = GLOBAL_ID; i < ALL_ATOMS; i += GLOBAL_SIZE) {
+    for (OF_THREAD(i, ALL_ATOMS)) {
         const mixed4 now = velm[places[atoms[i]].x];
         const double change[3] = {now.x-(mixed) v[3*i], now.y-(mixed) v[3*i+1], now.z-(mixed) v[3*i+2]};
         for (int e = 0; e < 3; e++)
@@ -16,7 +16,7 @@ KERNEL void flexible_pushed(GLOBAL const mixed4* velm, GLOBAL const int4* places
 // Accept changes of positions, by barostats or, for massless atoms, by the user.
 KERNEL void flexible_moved(GLOBAL const real4* posq, GLOBAL const real4* posqCorrection, GLOBAL const int4* places, GLOBAL const double* box,
         GLOBAL const int* atoms, GLOBAL number* x) {
-    for (int i = GLOBAL_ID; i < ALL_ATOMS; i += GLOBAL_SIZE) {
+    for (OF_THREAD(i, ALL_ATOMS)) {
         double now[3];
         read_position(posq, posqCorrection, places[atoms[i]], box, now);
         for (int e = 0; e < 3; e++)
@@ -30,7 +30,7 @@ KERNEL void flexible_moved(GLOBAL const real4* posq, GLOBAL const real4* posqCor
 KERNEL void flexible_kinetic(GLOBAL const double* inverse, GLOBAL const number* x, GLOBAL const number* v, GLOBAL double* sums) {
     LOCAL double shared[3*BLOCK];
     double mine[3] = {0.0, 0.0, 0.0};
-    for (int i = GLOBAL_ID; i < ALL_ATOMS; i += GLOBAL_SIZE) {
+    for (OF_THREAD(i, ALL_ATOMS)) {
         const double square = v[3*i]*v[3*i]+v[3*i+1]*v[3*i+1]+v[3*i+2]*v[3*i+2];
         if (inverse[i] != 0.0)
             mine[0] += 0.5*square/inverse[i];

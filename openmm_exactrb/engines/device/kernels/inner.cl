@@ -27,28 +27,27 @@ DEVICE inline void move_atom(int atom, int first, int last, GLOBAL const int* mo
         slow[e] = inverse*slow[e]-fast[e];
     }
     for (int k = first; k < last; k++) {
-        GLOBAL const double* number = &TAU(k);
+        GLOBAL const double* of_move = &TAU(k);
         const int which = OF_MOVE(k, NUMBER_OF_MOVE) & 0xffff, late = OF_MOVE(k, NUMBER_OF_MOVE)>>16;
         switch (OF_MOVE(k, OP)) {
         case FAST_KICK:
             for (int e = 0; e < 3; e++)
-                V[e] += number[0]*fast[e];
+                V[e] += of_move[0]*fast[e];
             break;
         case KICK:
             for (int e = 0; e < 3; e++)
-                V[e] += number[0]*slow[e];
+                V[e] += of_move[0]*slow[e];
             break;
         case EXCHANGE:
-#ifdef SCALES
-            for (int e = 0; e < 3; e++)
-                V[e] += (factors[0]-1.0)*V[e];
-#else
+            if (SCALES) {
+                for (int e = 0; e < 3; e++)
+                    V[e] += (factors[0]-1.0)*V[e];
+                break;
+            }
             normals(key, step+late, 16*which, body, n);
             for (int e = 0; e < 3; e++)
-                V[e] += number[fade]*V[e]+number[fade+1]*sqrt(inverse)*n[e];
-#endif
+                V[e] += of_move[fade]*V[e]+of_move[fade+1]*sqrt(inverse)*n[e];
             break;
-#if MEMORY > 0
         case REMEMBER:
             for (int e = 0; e < 3; e++)
                 memory[3*((int) ((turns*PER_STEP+which)%MEMORY)*ALL_ATOMS+atom)+e] = slow[e];
@@ -56,9 +55,8 @@ DEVICE inline void move_atom(int atom, int first, int last, GLOBAL const int* mo
         case LAST_KICK:
             for (int w = 0; w < OF_MOVE(k, NUMBERS_OF_MOVE); w++)
                 for (int e = 0; e < 3; e++)
-                    V[e] += number[w]*memory[3*((int) ((turns*PER_STEP-1-w+MEMORY)%MEMORY)*ALL_ATOMS+atom)+e];
+                    V[e] += of_move[w]*memory[3*((int) ((turns*PER_STEP-1-w+MEMORY)%MEMORY)*ALL_ATOMS+atom)+e];
             break;
-#endif
         }
     }
     for (int e = 0; e < 3; e++)
@@ -74,7 +72,7 @@ KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL
     LOCAL_ARRAY(number, xs, 3*PLACES_OF_BLOCK);
     LOCAL_ARRAY(term_sum, sums, 3*OWN_OF_BLOCK);
     LOCAL int broken;
-    for (int block = GROUP_ID; block < BLOCKS; block += GLOBAL_SIZE/LOCAL_SIZE) {
+    for (OF_GROUP(block, BLOCKS)) {
         GLOBAL const int* row = blocks+BLOCK_ROW*block;
         const int own = row[OWN], first_atom = block_atoms[row[FIRST_PLACE]], end = first_move+count;
         for (int i = LOCAL_ID; i < 3*row[PLACES]; i += LOCAL_SIZE)

@@ -4,7 +4,7 @@
 KERNEL void kinetic(GLOBAL const int* kind, GLOBAL const int* kinds, GLOBAL const double* constants, STATE, GLOBAL double* sums) {
     LOCAL double shared[3*BLOCK];
     double mine[3] = {0.0, 0.0, 0.0};
-    for (int i = GLOBAL_ID; i < BODIES; i += GLOBAL_SIZE) {
+    for (OF_THREAD(i, BODIES)) {
         const Place at = place_of(i, kind, kinds);
         Body body;
         load_body(&body, i, R_, P_, q_, L_, constants+CONSTANTS*at.constants);

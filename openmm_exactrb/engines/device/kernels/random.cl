@@ -1,7 +1,8 @@
 // Counter-based random numbers for a body, a step and a stream: Philox4x64-10 (J. K. Salmon and others, SC11) and the
 // Box-Muller transform, with the same numbers as in openmm_exactrb.mechanics.rng.
 
-#ifdef __OPENCL_VERSION__
+#if defined(PROCESSOR)
+#elif defined(__OPENCL_VERSION__)
 #define HIGH_PRODUCT(a, b) mul_hi(a, b)
 #else
 #define HIGH_PRODUCT(a, b) __umul64hi(a, b)

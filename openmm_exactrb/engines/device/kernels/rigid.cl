@@ -6,12 +6,13 @@
 // in flexible molecules.
 DEVICE inline void exchange(Body* body, GLOBAL const double* constants, GLOBAL const double* numbers, GLOBAL const double* factors,
         int flexible, mm_long key, mm_long step, int number, int index) {
-#ifdef SCALES
-    EACH(k, 3) {
-        body->P[k] += (factors[0]-1.0)*body->P[k];
-        body->L[k] += (factors[1]-1.0)*body->L[k];
+    if (SCALES) {
+        EACH(k, 3) {
+            body->P[k] += (factors[0]-1.0)*body->P[k];
+            body->L[k] += (factors[1]-1.0)*body->L[k];
+        }
+        return;
     }
-#else
     GLOBAL const double* of = numbers+(flexible ? 5 : 1);
     double n[4];
     if (of[0] != 0.0) {
@@ -24,7 +25,6 @@ DEVICE inline void exchange(Body* body, GLOBAL const double* constants, GLOBAL c
         EACH(k, 3)
             body->L[k] += of[2]*body->L[k]+of[3]*constants[9+k]*n[k];
     }
-#endif
 }
 
 KERNEL void segment(CONTEXT, GLOBAL const component* force, TABLES, STATE, GLOBAL const int* index, GLOBAL double* last,
@@ -40,15 +40,13 @@ KERNEL void segment(CONTEXT, GLOBAL const component* force, TABLES, STATE, GLOBA
         number place[4];
         EACH(k, 4)
             place[k] = body.q[k];
-#if GRADIENTS > 0
-        if (what & IS_DISPLACED) {
+        if (GRADIENTS && what & IS_DISPLACED) {
             double F[3], T[3];
             EACH(k, 3) {
                 F[k] = here[k*BODIES+i]; T[k] = here[(3+k)*BODIES+i];
             }
             displaced(&body, numbers[moves[ROW*first+2]+1], F, T, arm, place);
         }
-#endif
         if (what & HAS_FORCES) {
             double sums[6] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
             attitude(place, Q);
@@ -63,10 +61,8 @@ KERNEL void segment(CONTEXT, GLOBAL const component* force, TABLES, STATE, GLOBA
                 add_cross(sums+3, r, f);
             }
             sum_over_lanes(sums, 6, shared);
-#if GRADIENTS > 0
-            if (what & IS_DISPLACED)
+            if (GRADIENTS && what & IS_DISPLACED)
                 attitude(body.q, Q);
-#endif
             EACH(k, 3)
                 body.F[k] = sums[k];
             in_body(Q, body.inverse_inertia, sums+3, body.T);
@@ -89,20 +85,17 @@ KERNEL void segment(CONTEXT, GLOBAL const component* force, TABLES, STATE, GLOBA
                     body.P[k] += tau*body.F[k];
                     body.L[k] += tau*body.T[k];
                 }
-#if DIFFERENCES > 0
-                if (op == DISPLACED_KICK) {
+                if (KEEPS_DIFFERENCES && op == DISPLACED_KICK) {
                     const int slot = (((mm_long) turns)*DIFFERENCES_PER_STEP+number)%DIFFERENCES;
                     EACH(k, 3) {
                         differences[(6*slot+k)*BODIES+i] = body.F[k]-here[k*BODIES+i];
                         differences[(6*slot+3+k)*BODIES+i] = body.T[k]-here[(3+k)*BODIES+i];
                     }
                 }
-#endif
                 break;
             case EXCHANGE:
                 exchange(&body, own, values, factors, index[BODIES+i], (mm_long) key, step+late, number, index[i]);
                 break;
-#if MEMORY > 0
             case REMEMBER: {
                 const int slot = (((mm_long) turns)*PER_STEP+number)%MEMORY;
                 EACH(k, 3) {
@@ -115,20 +108,16 @@ KERNEL void segment(CONTEXT, GLOBAL const component* force, TABLES, STATE, GLOBA
                 for (int w = 0; w < moves[ROW*row+3]; w++) {
                     GLOBAL const double* from = last;
                     int slot = (((mm_long) turns)*PER_STEP-1-w+MEMORY)%MEMORY;
-#if DIFFERENCES > 0
-                    if (w >= number) {
+                    if (KEEPS_DIFFERENCES && w >= number) {
                         from = differences;
                         slot = (((mm_long) turns)*DIFFERENCES_PER_STEP-1-(w-number)+DIFFERENCES)%DIFFERENCES;
                     }
-#endif
                     EACH(k, 3) {
                         body.P[k] += values[w]*from[(6*slot+k)*BODIES+i];
                         body.L[k] += values[w]*from[(6*slot+3+k)*BODIES+i];
                     }
                 }
                 break;
-#endif
-#if GRADIENTS > 0
             case DISPLACE:
                 e = tau;
                 EACH(k, 3) {
@@ -136,7 +125,6 @@ KERNEL void segment(CONTEXT, GLOBAL const component* force, TABLES, STATE, GLOBA
                     here[(3+k)*BODIES+i] = body.T[k];
                 }
                 break;
-#endif
             OWN_MOVES
             }
         }
@@ -169,13 +157,11 @@ KERNEL void segment(CONTEXT, GLOBAL const component* force, TABLES, STATE, GLOBA
             arm[k] = body.R[k];
         EACH(k, 4)
             place[k] = body.q[k];
-#if GRADIENTS > 0
-        if (e != 0.0) {
+        if (GRADIENTS && e != 0.0) {
             displaced(&body, e, body.F, body.T, arm, place);
             EACH(k, 3)
                 arm[k] += body.R[k];
         }
-#endif
         attitude(place, Q);
         if (what & MOVES_PARTICLES)
             FOR_SITES {

@@ -1,6 +1,6 @@
 // The exact flow of the free rigid body, with the formulas for short steps of openmm_exactrb.kernels.compiled.exact,
-// but with fewer divisions and square roots. A longer step is a sequence of short steps. SIX_NODES and TEN_NODES are
-// the sums of the quadrature rules of openmm_exactrb.mathematics.elliptic.
+// but with fewer divisions and square roots. A longer step is a sequence of short steps. SIX_NODES and TEN_NODES, in
+// nodes.cl, are sums of quadrature rules.
 
 // The largest b G t of a short step. A body that needs more than MOST_PARTS short steps has diverged.
 #define SHORT 0.3

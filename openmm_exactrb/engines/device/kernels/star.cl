@@ -12,7 +12,7 @@
 // so that the threads of a team exchange only sums and maxima. The threads use shuffles. All threads of a warp must
 // therefore execute the same instructions until the last star of the warp is complete.
 
-#if defined(__OPENCL_VERSION__)
+#if defined(__OPENCL_VERSION__) || defined(PROCESSOR)
 #define TEAM 1
 #define ANY(yes) (yes)
 #define OF_OTHER(number, distance) (number)

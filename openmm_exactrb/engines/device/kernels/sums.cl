@@ -29,6 +29,7 @@ KERNEL void total(GLOBAL const double* sums, GLOBAL double* totals, int adds) {
         shared[k*BLOCK+LOCAL_ID] = mine;
     }
     add_up(shared);
-    if (GROUP_ID == 0 && LOCAL_ID < 3)
-        totals[LOCAL_ID] = shared[LOCAL_ID*BLOCK]+(adds ? totals[LOCAL_ID] : 0.0);
+    if (GROUP_ID == 0)
+        for (int k = LOCAL_ID; k < 3; k += LOCAL_SIZE)
+            totals[k] = shared[k*BLOCK]+(adds ? totals[k] : 0.0);
 }

@@ -5,23 +5,15 @@
 // Without a program, the integrator is a CustomIntegrator, and it keeps the global variables when it has a program.
 // Python starts the steps of a program after checking that the arrays agree with the Context (library.py). The lines of
 // a program are described in program.py.
+#include "machine.h"
 #include "openmm/Context.h"
 #include "openmm/CustomIntegrator.h"
-#include "openmm/OpenMMException.h"
 #include "openmm/Platform.h"
 #include "openmm/System.h"
-#include "openmm/common/ComputeContext.h"
-#include "openmm/internal/ContextImpl.h"
 #include "openmm/serialization/SerializationNode.h"
 #include "openmm/serialization/SerializationProxy.h"
-#include <algorithm>
 #include <cstring>
-#include <dlfcn.h>
-#include <map>
-#include <memory>
 #include <sstream>
-#include <string>
-#include <vector>
 
 using namespace OpenMM;
 using std::string;
@@ -29,46 +21,14 @@ using std::vector;
 
 namespace {
 
-OpenMMException error(const string& what) {
-    return OpenMMException("ProgramIntegrator: " + what);
-}
-
-// The beginning of OpenCLPlatform::PlatformData, CudaPlatform::PlatformData and HipPlatform::PlatformData.
-struct PlatformDataHead {
-    ContextImpl* context;
-    vector<ComputeContext*> contexts;
-};
-
-typedef std::unique_ptr<ArrayInterface> DeviceArray;
-
-struct Array {
-    string name;
-    int elementSize = 8;
-    size_t size = 0;
-    bool saved = false;      // stored in checkpoints and States, and by `keep`
-    vector<char> data;       // values on the host, which `build` uploads
-    DeviceArray device;
-    size_t bytes() const {
-        return size * elementSize;
-    }
-};
+using namespace exactrb;
+using exactrb::Kernel;  // and not OpenMM's class
 
 struct Scalar {
     string name;
     double value;
 };
 
-struct Kernel {
-    string name, function;
-    int source, threads, block;
-    vector<string> arguments;
-    vector<std::pair<int, int> > scalars;  // index of the argument, index of the scalar, StepSize or StepCount
-    ComputeKernel kernel;
-    bool places() const {  // whether the kernel may move particles
-        return std::find(arguments.begin(), arguments.end(), "posq") != arguments.end();
-    }
-};
-enum { StepSize = -1, StepCount = -2 };
 const int Loads = 8;
 
 struct Operation {
@@ -77,53 +37,17 @@ struct Operation {
     double value = 0;
 };
 
-// Functions of the platform's library that are not virtual.
-struct PlatformFunctions {
-    void (*reorderAtoms)(ComputeContext*);
-    void (*setAtomIndex)(ComputeContext*, vector<int>&);
-    void (*virtualSites)(IntegrationUtilities*);
-    double (*kineticEnergy)(IntegrationUtilities*, double);
-
-    // Find the library that contains the class of the context, by the address of the class's virtual function table.
-    void lookUp(ComputeContext* cc) {
-        Dl_info info;
-        if (dladdr(*reinterpret_cast<void**>(cc), &info) == 0)
-            throw error("cannot find the library of the platform");
-        void* library = dlopen(info.dli_fname, RTLD_LAZY | RTLD_NOLOAD);
-        find(library, "_ZN6OpenMM14ComputeContext12reorderAtomsEv", reorderAtoms);
-        find(library, "_ZN6OpenMM14ComputeContext12setAtomIndexERSt6vectorIiSaIiEE", setAtomIndex);
-        find(library, "_ZN6OpenMM20IntegrationUtilities19computeVirtualSitesEv", virtualSites);
-        find(library, "_ZN6OpenMM20IntegrationUtilities20computeKineticEnergyEd", kineticEnergy);
-    }
-    template <class Function> static void find(void* library, const char* name, Function& found) {
-        void* address = dlsym(library, name);
-        if (address == NULL)
-            throw error(string("the library of the platform has no ") + name);
-        found = reinterpret_cast<Function>(address);
-    }
-};
-
-// Makes the context of the device current during the lifetime of the object.
-struct Current {
-    ComputeContext* cc;
-    explicit Current(ComputeContext* cc) : cc(cc) {
-        cc->pushAsCurrent();
-    }
-    ~Current() {
-        cc->popAsCurrent();
-    }
-};
-
-class ProgramIntegrator : public CustomIntegrator {
+class ProgramIntegrator : public CustomIntegrator, private Reordered {
 public:
     explicit ProgramIntegrator(double stepSize) : CustomIntegrator(stepSize) {
     }
     void setProgram(const string& text);
     void step(int steps) override;
     void makeSteps(int steps);
+    void makeOwnPart(int steps);
     void runAlone(const string& sequence);
-    void keep();
-    void restore();
+    void keep(int slot);
+    void restore(int slot);
     void upload(const string& name, const void* data, size_t bytes);
     void download(const string& name, void* data, size_t bytes);
     double& scalar(const string& name) {
@@ -146,7 +70,7 @@ protected:
             changes |= changed == State::Positions ? 1 : changed == State::Velocities ? 2 : changed == State::Energy ? 4 : 0;
     }
     double computeKineticEnergy() override {
-        return hasProgram() ? functions.kineticEnergy(&cc->getIntegrationUtilities(), 0.0) : CustomIntegrator::computeKineticEnergy();
+        return hasProgram() ? machine->kineticEnergy() : CustomIntegrator::computeKineticEnergy();
     }
     bool kineticEnergyRequiresForce() const override {
         return !hasProgram() && CustomIntegrator::kineticEnergyRequiresForce();
@@ -158,60 +82,45 @@ protected:
 
 private:
     friend class Proxy;
-    class Listener;
-    bool hasProgram() const {
-        return cc != NULL && !program.empty();
+    void reordered() override {
+        placesStale = forcesStale = true;
     }
-    void show(Array& a);
-    vector<char> present(const Array& a) const;
+    bool hasProgram() const {
+        return machine && !program.empty();
+    }
+    void show(int index);
+    vector<char> present(int index) const;
     void save(std::ostream& stream, bool all) const;
     void load(std::istream& stream);
     string savedText(bool all) const;
     void loadText(const string& text);
-    template <class Named> static int indexOf(const vector<Named>& all, const string& name, const char* what) {
-        for (int i = 0; i < (int) all.size(); i++)
-            if (all[i].name == name)
-                return i;
-        throw error(string("no ") + what + " " + name);
-    }
     Operation operation(const string& word, std::istringstream& words) const;
     void takeLoaded();
-    void requireDevice() const {
+    void requireMachine() const {
         if (!hasProgram())
-            throw error("there is no Context on one device with double precision, or no program");
+            throw error("there is no Context on a processor or on one device with double precision, or no program");
     }
     void build();
-    void release();
-    void bind(Kernel& kernel);
-    void carryOut(const string& sequence);
-    void launch(Kernel& kernel);
+    const vector<Operation>& sequence(const string& name) const;
+    void carryOut(const vector<Operation>& operations);
+    void launch(int index);
     void evaluate(int groups);
     void update(int calls, bool leaves);
-    void uploadPlaces();
-    void uploadBox();
-    template <class Real4> void restoreOrder();
-    DeviceArray made(size_t size, int elementSize, const string& name) {
-        DeviceArray array(cc->createArray());
-        array->initialize(*cc, size, elementSize, name);
-        return array;
-    }
+    void takeBox();
     string program;
-    vector<string> sources;
+    vector<Source> sources;
     vector<Array> arrays;
     vector<Scalar> scalars;
     vector<Kernel> kernels;
     std::map<string, vector<Operation> > sequences;
 
-    ComputeContext* cc = NULL;
-    PlatformFunctions functions;
-    DeviceArray places, box;  // slot and periodic cell of each atom; nine numbers of the box vectors
-    vector<double> lastBox;
+    std::unique_ptr<Machine> machine;  // NULL without a Context, or on other platforms
     struct Loaded {  // values from a checkpoint or State, until a program is set
         std::map<string, double> scalars;
         std::map<string, vector<char> > arrays;
     } loaded;
     bool forcesStale = true, placesStale = true, updating = false, loading = false;
-    int forceCount = -1, forceGroups = 0;
+    int forceGroups = 0;
     double stepBegan = 0;  // in ps
     long long updates = 0;  // since the barostat's last move; like the barostat's own counter, not saved
 
@@ -219,23 +128,13 @@ private:
         double time = 0;
         long long steps = 0;
         Vec3 box[3];
-        vector<int> order;
-        vector<mm_int4> cells;
         vector<Scalar> scalars;
-        std::map<ArrayInterface*, DeviceArray> copies;
-    } kept;
-};
-
-class ProgramIntegrator::Listener : public ComputeContext::ReorderListener {
-public:
-    explicit Listener(ProgramIntegrator& owner) : owner(owner) {
+        bool any = false;
+    } slots[SLOTS];
+    void forget() {
+        for (Kept& kept : slots)
+            kept = Kept();
     }
-    void execute() override {
-        owner.placesStale = owner.forcesStale = true;
-    }
-
-private:
-    ProgramIntegrator& owner;
 };
 
 // -- the program ------------------------------------------------------------------------------------------------------
@@ -243,7 +142,9 @@ private:
 void ProgramIntegrator::setProgram(const string& text) {
     if (text == program)
         return;
-    release();
+    if (machine)
+        machine->release();
+    forget();
     program.clear(), sources.clear(), arrays.clear(), scalars.clear(), kernels.clear(), sequences.clear();
     std::istringstream lines(text);
     string line, word, name;
@@ -267,16 +168,30 @@ void ProgramIntegrator::setProgram(const string& text) {
         else if (word == "source") {
             size_t bytes = 0;
             words >> bytes;
-            string source(bytes, ' ');
-            lines.read(&source[0], bytes);
+            Source source;
+            source.text.assign(bytes, ' ');
+            lines.read(&source.text[0], bytes);
+            sources.push_back(source);
+        }
+        else if (word == "compiled") {
+            int count = 0;
+            Source source;
+            words >> source.name >> count;
+            for (int i = 0; i < count && std::getline(lines, line); i++)
+                source.constants[line.substr(0, line.find(' '))] = line.substr(line.find(' ')+1);
             sources.push_back(source);
         }
         else if (word == "kernel") {
             Kernel k;
             k.source = (int) sources.size() - 1;
             words >> k.name >> k.function >> k.threads >> k.block;
-            while (words >> word)
+            while (words >> word) {
+                if (word == "#step")
+                    k.scalars.push_back({(int) k.arguments.size(), StepCount});
+                else if (word[0] == '$')
+                    k.scalars.push_back({(int) k.arguments.size(), word == "$h" ? (int) StepSize : indexOf(scalars, word.substr(1), "scalar")});
                 k.arguments.push_back(word);
+            }
             kernels.push_back(std::move(k));
         }
         else if (word == "sequence") {
@@ -290,8 +205,7 @@ void ProgramIntegrator::setProgram(const string& text) {
     }
     program = text;
     takeLoaded();
-    if (cc != NULL)
-        build();
+    build();
 }
 
 // Set arrays and scalars to loaded values of the same name and size.
@@ -299,12 +213,12 @@ void ProgramIntegrator::takeLoaded() {
     for (Scalar& s : scalars)
         if (loaded.scalars.count(s.name))
             s.value = loaded.scalars[s.name];
-    for (Array& a : arrays) {
-        auto found = loaded.arrays.find(a.name);
-        if (found == loaded.arrays.end() || found->second.size() != a.bytes())
+    for (size_t i = 0; i < arrays.size(); i++) {
+        auto found = loaded.arrays.find(arrays[i].name);
+        if (found == loaded.arrays.end() || found->second.size() != arrays[i].bytes())
             continue;
-        a.data = found->second;
-        show(a);
+        arrays[i].data = found->second;
+        show((int) i);
     }
     if (!program.empty())
         loaded = Loaded();
@@ -338,166 +252,103 @@ Operation ProgramIntegrator::operation(const string& word, std::istringstream& w
 void ProgramIntegrator::initialize(ContextImpl& impl) {
     CustomIntegrator::initialize(impl);
     updates = 0;
-    cc = NULL;
-    const string platform = impl.getPlatform().getName();
-    if (platform != "OpenCL" && platform != "CUDA" && platform != "HIP")
-        return;
-    PlatformDataHead* data = reinterpret_cast<PlatformDataHead*>(impl.getPlatformData());
-    if (data->context != &impl || data->contexts.size() != 1 || !data->contexts[0]->getSupportsDoublePrecision())
-        return;
-    cc = data->contexts[0];
-    functions.lookUp(cc);
-    cc->initializeContexts();
-    Current current(cc);
-    places = made(cc->getPaddedNumAtoms(), sizeof(mm_int4), "places");
-    box = made(9, sizeof(double), "box");
-    lastBox.clear();
-    cc->getReorderListeners().push_back(new Listener(*this));
+    machine = deviceOf(impl, *this);
+    if (!machine)
+        machine = processorOf(impl);
     changes = 7;
     forcesStale = placesStale = true;
-    if (!program.empty())
-        build();
+    build();
 }
 
 void ProgramIntegrator::cleanup() {
     CustomIntegrator::cleanup();
     if (hasProgram()) {
         try {
-            for (Array& a : arrays)
-                a.data = present(a);
+            for (size_t i = 0; i < arrays.size(); i++)
+                machine->download((int) i, arrays[i].data.data());
         }
         catch (OpenMMException&) {  // the device is lost, and its Context is being destroyed
         }
     }
-    release();
-    places.reset(), box.reset();
-    cc = NULL;
-}
-
-void ProgramIntegrator::release() {
-    for (Array& a : arrays)
-        a.device.reset();
-    for (Kernel& k : kernels)
-        k.kernel.reset();
-    kept = Kept();
+    forget();
+    machine.reset();
 }
 
 void ProgramIntegrator::build() {
-    Current current(cc);
-    for (Array& a : arrays) {
-        a.device = made(a.size, a.elementSize, a.name);
-        a.device->upload(a.data.data());
-    }
-    std::map<string, string> defines = {{"PADDED_NUM_ATOMS", std::to_string(cc->getPaddedNumAtoms())}};
-    vector<ComputeProgram> programs;
-    for (const string& source : sources)
-        programs.push_back(cc->compileProgram(source, defines));
-    for (Kernel& k : kernels) {
-        k.kernel = programs[k.source]->createKernel(k.function);
-        bind(k);
-    }
+    if (hasProgram())
+        machine->build(sources, arrays, kernels);
 }
 
-// Arguments are the names of arrays of OpenMM or of the program, a scalar $name, the step size $h, the step count #step
-// (long long), or an integer (int).
-void ProgramIntegrator::bind(Kernel& k) {
-    std::map<string, ArrayInterface*> given = {{"posq", &cc->getPosq()}, {"velm", &cc->getVelm()},
-        {"posqCorrection", cc->getUseMixedPrecision() ? &cc->getPosqCorrection() : &cc->getPosq()},
-        {"force", &cc->getLongForceBuffer()}, {"places", places.get()}, {"box", box.get()}};
-    k.scalars.clear();
-    for (int i = 0; i < (int) k.arguments.size(); i++) {
-        const string& name = k.arguments[i];
-        if (given.count(name))
-            k.kernel->addArg(*given[name]);
-        else if (name == "#step") {
-            k.scalars.push_back({i, StepCount});
-            k.kernel->addArg((long long) 0);
-        }
-        else if (name[0] == '$') {
-            k.scalars.push_back({i, name == "$h" ? (int) StepSize : indexOf(scalars, name.substr(1), "scalar")});
-            k.kernel->addArg(0.0);
-        }
-        else if (name[0] == '-' || isdigit(name[0]))
-            k.kernel->addArg(std::stoi(name));
-        else
-            k.kernel->addArg(*arrays[indexOf(arrays, name, "array")].device);
-    }
-}
-
-void ProgramIntegrator::uploadPlaces() {
-    const vector<int>& atoms = cc->getAtomIndex();
-    const vector<mm_int4>& cells = cc->getPosCellOffsets();
-    vector<mm_int4> values(cc->getPaddedNumAtoms(), mm_int4(0, 0, 0, 0));
-    for (int i = 0; i < cc->getNumAtoms(); i++)
-        values[atoms[i]] = mm_int4(i, cells[i].x, cells[i].y, cells[i].z);
-    places->upload(values);
-    placesStale = false;
-}
-
-void ProgramIntegrator::uploadBox() {
+void ProgramIntegrator::takeBox() {
     vector<double> now(9, 0.0);
     if (context->getSystem().usesPeriodicBoundaryConditions()) {
         Vec3 a, b, c;
-        cc->getPeriodicBoxVectors(a, b, c);
+        context->getPeriodicBoxVectors(a, b, c);
         now = {a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2]};
     }
-    if (now != lastBox) {
-        box->upload(now);
+    if (machine->takeBox(now))
         forcesStale = true;
-    }
-    lastBox = now;
 }
 
-void ProgramIntegrator::launch(Kernel& k) {
+// Launch a kernel. Its arguments are the names of arrays of OpenMM or of the program, a scalar $name, the step size $h,
+// the step count #step (long long), or an integer (int).
+void ProgramIntegrator::launch(int index) {
     if (placesStale)
-        uploadPlaces();
+        machine->takePlaces();
+    placesStale = false;
+    const Kernel& k = kernels[index];
     for (auto& scalar : k.scalars) {
         if (scalar.second == StepCount)
-            k.kernel->setArg(scalar.first, cc->getStepCount());
+            machine->set(index, scalar.first, machine->stepCount());
         else
-            k.kernel->setArg(scalar.first, scalar.second == StepSize ? getStepSize() : scalars[scalar.second].value);
+            machine->set(index, scalar.first, scalar.second == StepSize ? getStepSize() : scalars[scalar.second].value);
     }
-    k.kernel->execute(k.threads, k.block);
+    machine->launch(k, index);
     launches++;
 }
 
 // Evaluate the forces of those groups (bits) that are active.
 void ProgramIntegrator::evaluate(int groups) {
     context->calcForcesAndEnergy(true, false, groups & getIntegrationForceGroups());
-    forceCount = cc->getComputeForceCount(), forceGroups = getIntegrationForceGroups(), forcesStale = false;
+    machine->takeForces();
+    forceGroups = getIntegrationForceGroups(), forcesStale = false;
     forceCalls++;
 }
 
-void ProgramIntegrator::carryOut(const string& name) {
+// Return the operations of a sequence, or none if the program has no such sequence.
+const vector<Operation>& ProgramIntegrator::sequence(const string& name) const {
+    static const vector<Operation> none;
     auto found = sequences.find(name);
-    if (found == sequences.end())
-        return;
-    for (Operation& o : found->second) {
+    return found == sequences.end() ? none : found->second;
+}
+
+void ProgramIntegrator::carryOut(const vector<Operation>& operations) {
+    for (const Operation& o : operations) {
         switch (o.kind) {
         case Operation::Run:
-            launch(kernels[o.which]);
+            launch(o.which);
             break;
         case Operation::Forces:
             evaluate(o.which);
             break;
         case Operation::Sites:
-            functions.virtualSites(&cc->getIntegrationUtilities());
+            machine->computeVirtualSites();
             break;
         case Operation::Reorder:
-            functions.reorderAtoms(cc);
+            machine->reorderAtoms();
             break;
         case Operation::Clock:
-            cc->setTime(stepBegan + o.value * getStepSize());
+            machine->setTime(stepBegan + o.value * getStepSize());
             break;
         case Operation::Step:
-            cc->setTime(stepBegan += getStepSize());
-            cc->setStepCount(cc->getStepCount() + 1);
+            machine->setTime(stepBegan += getStepSize());
+            machine->setStepCount(machine->stepCount() + 1);
             break;
         case Operation::Add:
             scalars[o.which].value += o.value;
             break;
         case Operation::Copy:
-            arrays[o.which].device->copyTo(*arrays[o.other].device);
+            machine->copy(o.which, o.other);
             break;
         }
     }
@@ -512,33 +363,46 @@ void ProgramIntegrator::step(int steps) {
 
 // Perform steps with these sequences of the program. "forces" evaluates the forces that "open" needs, unless they are
 // known. "open" begins a step, "body" continues it up to its last force evaluation, and "close" ends it. "between"
-// combines "close" with the following "open".
+// combines "close" with the following "open". If they exist, "hold" ends a call instead of "close", and "resume" begins
+// the next call, so that the two have the same result as "between".
 //
 // OpenMM updates the Context when a barostat acts, after every "interval" updates, or after every step if "always" is
 // not 0, and when the number of steps is a multiple of "removal". A value of 0 means never. "pushed" follows an update,
 // and "moved" follows if positions changed. Updates in which barostats act are preceded by the sequence "leave", if it
 // exists, and followed by "return"; "leave_pushed" and "leave_moved" then replace "pushed" and "moved" if they exist.
 void ProgramIntegrator::makeSteps(int steps) {
-    requireDevice();
-    Current current(cc);
-    uploadBox();
-    stepBegan = cc->getTime();
+    requireMachine();
+    Current current(*machine);
+    takeBox();
+    stepBegan = machine->time();
     const int interval = (int) scalar("interval"), removal = (int) scalar("removal");
     const bool always = scalar("always") != 0;
-    double &calls = scalar("calls");
+    double &calls = scalar("calls"), &held = scalar("held");
+    const vector<Operation> &forces = sequence("forces"), &open = sequence("open"), &body = sequence("body");
+    const vector<Operation> &between = sequence("between"), &close = sequence("close");
+    const bool holds = sequences.count("hold") > 0;
     bool begins = true;
     for (int i = 0; i < steps; i++) {
-        if (begins) {
-            if (forcesStale || cc->getComputeForceCount() != forceCount || getIntegrationForceGroups() != forceGroups)
-                carryOut("forces");
-            carryOut("open");
+        if (begins && held != 0) {
+            carryOut(sequence("resume"));
+            held = 0;
         }
-        carryOut("body");
+        else if (begins) {
+            if (forcesStale || !machine->hasForces() || getIntegrationForceGroups() != forceGroups)
+                carryOut(forces);
+            carryOut(open);
+        }
+        carryOut(body);
         calls++;
         const bool acts = always || (interval > 0 && updates + (long long) calls >= interval);
-        const bool due = acts || (removal > 0 && (cc->getStepCount() + 1) % removal == 0);
+        const bool due = acts || (removal > 0 && (machine->stepCount() + 1) % removal == 0);
         begins = due || i == steps - 1;
-        carryOut(begins ? "close" : "between");
+        if (begins && !due && holds) {
+            carryOut(sequence("hold"));
+            held = 1;
+        }
+        else
+            carryOut(begins ? close : between);
         if (due) {
             update((int) calls, acts && sequences.count("leave"));
             calls = 0;
@@ -546,14 +410,26 @@ void ProgramIntegrator::makeSteps(int steps) {
     }
 }
 
-// Execute a sequence outside of a step.
+// Perform OpenMM's own part of steps (barostats, thermostats, CMMotionRemover), and advance the time.
+void ProgramIntegrator::makeOwnPart(int steps) {
+    if (context == NULL)
+        throw error("there is no Context");
+    for (int i = 0; i < steps; i++) {
+        context->updateContextState();
+        context->setTime(context->getTime() + getStepSize());
+        context->setStepCount(context->getStepCount() + 1);
+    }
+}
+
+// Execute a sequence outside of a step, or the sequence with "_held" added to its name after a call that ended with "hold".
 void ProgramIntegrator::runAlone(const string& name) {
-    requireDevice();
-    Current current(cc);
-    uploadBox();
-    stepBegan = cc->getTime();
-    carryOut(name);
-    for (const Operation& o : sequences[name])
+    requireMachine();
+    Current current(*machine);
+    takeBox();
+    stepBegan = machine->time();
+    const string used = scalar("held") != 0 && sequences.count(name + "_held") ? name + "_held" : name;
+    carryOut(sequence(used));
+    for (const Operation& o : sequence(used))
         forcesStale |= o.kind == Operation::Forces || (o.kind == Operation::Run && kernels[o.which].places());
 }
 
@@ -562,26 +438,26 @@ void ProgramIntegrator::update(int calls, bool leaves) {
     const int interval = (int) scalar("interval");
     updates = interval > 0 && updates + calls >= interval ? 0 : updates + calls;
     auto behind = [&](const string& name) {
-        carryOut(leaves && sequences.count("leave_" + name) ? "leave_" + name : name);
+        carryOut(sequence(leaves && sequences.count("leave_" + name) ? "leave_" + name : name));
     };
     if (leaves)
-        carryOut("leave");
-    const long long count = cc->getStepCount();
+        carryOut(sequence("leave"));
+    const long long count = machine->stepCount();
     bool moved = false;
     updating = true;
     for (int i = 1; i <= calls; i++) {
-        cc->setStepCount(count - calls + i);
+        machine->setStepCount(count - calls + i);
         moved |= context->updateContextState();
     }
     updating = false;
     behind("pushed");
     if (moved) {
-        uploadBox();
-        uploadPlaces();
+        takeBox();
+        placesStale = true;
         behind("moved");
     }
     if (leaves)
-        carryOut("return");
+        carryOut(sequence("return"));
     if (moved || leaves)
         forcesStale = true;
 }
@@ -589,90 +465,50 @@ void ProgramIntegrator::update(int calls, bool leaves) {
 // -- saved and loaded states ------------------------------------------------------------------------------------------
 
 // Save the state of the Context and of the program for `restore`.
-void ProgramIntegrator::keep() {
-    requireDevice();
-    Current current(cc);
-    kept.time = cc->getTime(), kept.steps = cc->getStepCount();
-    cc->getPeriodicBoxVectors(kept.box[0], kept.box[1], kept.box[2]);
-    kept.order = cc->getAtomIndex(), kept.cells = cc->getPosCellOffsets(), kept.scalars = scalars;
-    vector<ArrayInterface*> state = {&cc->getPosq(), &cc->getVelm()};
-    if (cc->getUseMixedPrecision())
-        state.push_back(&cc->getPosqCorrection());
-    for (Array& a : arrays)
-        if (a.saved)
-            state.push_back(a.device.get());
-    for (ArrayInterface* array : state) {
-        DeviceArray& copy = kept.copies[array];
-        if (!copy)
-            copy = made(array->getSize(), array->getElementSize(), array->getName() + "Kept");
-        array->copyTo(*copy);
-    }
+void ProgramIntegrator::keep(int slot) {
+    requireMachine();
+    Kept& kept = slots[slot];
+    Current current(*machine);
+    kept.time = machine->time(), kept.steps = machine->stepCount(), kept.scalars = scalars, kept.any = true;
+    context->getPeriodicBoxVectors(kept.box[0], kept.box[1], kept.box[2]);
+    machine->keep(arrays, slot);
 }
 
-// Restore the order of the atoms. OpenMM stores charges beside positions. They are no part of the state, because they may
-// have changed with parameters since `keep`, so the kept positions receive the present charges.
-template <class Real4> void ProgramIntegrator::restoreOrder() {
-    vector<Real4> now, then;
-    cc->getPosq().download(now);
-    kept.copies[&cc->getPosq()]->download(then);
-    vector<decltype(Real4::w)> charges(now.size());
-    const vector<int>& atoms = cc->getAtomIndex();
-    for (int i = 0; i < cc->getNumAtoms(); i++)
-        charges[atoms[i]] = now[i].w;
-    for (int i = 0; i < cc->getNumAtoms(); i++)
-        then[i].w = charges[kept.order[i]];
-    kept.copies[&cc->getPosq()]->upload(then);
-    functions.setAtomIndex(cc, kept.order);
-    cc->setPosCellOffsets(kept.cells);
-}
-
-void ProgramIntegrator::restore() {
-    requireDevice();
-    if (kept.copies.empty())
+void ProgramIntegrator::restore(int slot) {
+    requireMachine();
+    const Kept& kept = slots[slot];
+    if (!kept.any)
         throw error("nothing was kept");
-    Current current(cc);
-    cc->setTime(kept.time), cc->setStepCount(kept.steps);
+    Current current(*machine);
+    machine->setTime(kept.time), machine->setStepCount(kept.steps);
     updating = true;
     context->setPeriodicBoxVectors(kept.box[0], kept.box[1], kept.box[2]);
-    if (cc->getUseDoublePrecision())
-        restoreOrder<mm_double4>();
-    else
-        restoreOrder<mm_float4>();
-    for (auto& pair : kept.copies)
-        pair.second->copyTo(*pair.first);
-    vector<Vec3> x, v;  // set through OpenMM, which then updates all data that depend on them
-    context->getPositions(x), context->getVelocities(v);
-    context->setPositions(x), context->setVelocities(v);
+    machine->restore(slot);
     updating = false;
     scalars = kept.scalars;
     placesStale = forcesStale = true;
 }
 
-// Upload the host's values of an array to the device.
-void ProgramIntegrator::show(Array& a) {
-    if (a.device) {
-        Current current(cc);
-        a.device->upload(a.data.data());
-    }
+// Take the host's values of an array.
+void ProgramIntegrator::show(int index) {
+    if (machine && machine->built())
+        machine->upload(arrays[index], index);
 }
 
 void ProgramIntegrator::upload(const string& name, const void* data, size_t bytes) {
-    Array& a = arrays[indexOf(arrays, name, "array")];
-    if (bytes != a.bytes())
+    const int index = indexOf(arrays, name, "array");
+    if (bytes != arrays[index].bytes())
         throw error("wrong size of " + name);
-    memcpy(a.data.data(), data, bytes);
-    show(a);
+    memcpy(arrays[index].data.data(), data, bytes);
+    show(index);
 }
 
 void ProgramIntegrator::download(const string& name, void* data, size_t bytes) {
-    Array& a = arrays[indexOf(arrays, name, "array")];
-    if (bytes != a.bytes())
+    const int index = indexOf(arrays, name, "array");
+    if (bytes != arrays[index].bytes())
         throw error("wrong size of " + name);
-    if (a.device) {
-        Current current(cc);
-        a.device->download(a.data.data());
-    }
-    memcpy(data, a.data.data(), bytes);
+    const vector<char> values = present(index);
+    memcpy(data, values.data(), bytes);
 }
 
 // Binary format of saved states: pairs of a name and a value, for scalars and then for arrays. An empty name ends each
@@ -701,9 +537,9 @@ void ProgramIntegrator::save(std::ostream& stream, bool all) const {
     for (const Scalar& s : scalars)
         putBytes(stream, s.name), put(stream, s.value);
     putBytes(stream, string());
-    for (const Array& a : arrays)
-        if (a.saved || all)
-            putBytes(stream, a.name), putBytes(stream, present(a));
+    for (size_t i = 0; i < arrays.size(); i++)
+        if (arrays[i].saved || all)
+            putBytes(stream, arrays[i].name), putBytes(stream, present((int) i));
     putBytes(stream, string());
 }
 
@@ -733,13 +569,11 @@ void ProgramIntegrator::loadCheckpoint(std::istream& stream) {
     load(stream);
 }
 
-// Return the values of an array, from the device if it exists there.
-vector<char> ProgramIntegrator::present(const Array& a) const {
-    vector<char> data = a.data;
-    if (a.device) {
-        Current current(cc);
-        a.device->download(data.data());
-    }
+// Return the values of an array, from the machine if it has them.
+vector<char> ProgramIntegrator::present(int index) const {
+    vector<char> data = arrays[index].data;
+    if (machine && machine->built())
+        machine->download(index, data.data());
     return data;
 }
 
@@ -876,9 +710,10 @@ EXPORT(download, (void* integrator, const char* name, void* data, size_t bytes),
 EXPORT(set, (void* integrator, const char* name, double value), it.scalar(name) = value)
 EXPORT(get, (void* integrator, const char* name, double* value), *value = it.scalar(name))
 EXPORT(steps, (void* integrator, int steps), it.makeSteps(steps))
+EXPORT(own, (void* integrator, int steps), it.makeOwnPart(steps))
 EXPORT(run, (void* integrator, const char* sequence), it.runAlone(sequence))
-EXPORT(keep, (void* integrator), it.keep())
-EXPORT(restore, (void* integrator), it.restore())
+EXPORT(keep, (void* integrator, int slot), it.keep(slot))
+EXPORT(restore, (void* integrator, int slot), it.restore(slot))
 EXPORT(count, (void* integrator, int which, long long* value), *value = which == 0 ? it.launches : it.forceCalls)
 // Return the bits of external changes, and then clear some of them.
 EXPORT(changes, (void* integrator, int clear, int* value), *value = it.changes; it.changes &= ~clear)

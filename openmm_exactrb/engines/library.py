@@ -18,6 +18,8 @@ import stat
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -30,10 +32,13 @@ from openmm_exactrb.errors import MissingLibraryError
 
 _log = logging.getLogger("openmm_exactrb")
 
-#: The C++ source of the library.
-SOURCE = Path(__file__).with_name("program_integrator.cpp")
+_HERE = Path(__file__).parent
+_DEVICE = _HERE / "device"
+#: The C++ sources of the library, and the files that they include.
+SOURCES = tuple(sorted((_DEVICE / "source").glob("*.cpp")))
+_INCLUDED = tuple(sorted((*(_DEVICE / "source").glob("*.h"), *(_DEVICE / "kernels").glob("*.cl"))))
 #: The library that a wheel contains.
-BUNDLED = SOURCE.with_suffix(".so")
+BUNDLED = _HERE / "program_integrator.so"
 #: The type of the library's integrators in XML.
 TYPE = "ProgramIntegrator"
 #: The environment variable that names a compiler, and the commands that are tried if it names none.
@@ -41,7 +46,8 @@ COMPILER = "CXX"
 _COMPILERS = ("c++", "g++", "clang++")
 #: The environment variable that names the folder for compiled libraries; the default folder is in the user's cache.
 CACHE = "EXACTRB_CACHE"
-_FLAGS = ("-std=c++17", "-O2", "-fPIC", "-shared", "-fvisibility=hidden")
+# Multiplications and additions are not contracted, so that results do not depend on the compiler.
+_FLAGS = ("-std=c++17", "-O3", "-fno-math-errno", "-ffp-contract=off", "-fPIC", "-fvisibility=hidden", "-w")
 # Some compilers link the C++ library statically. Its symbols must not be mixed with those of OpenMM's C++ library.
 _LINKER_FLAGS = {"Linux": ("-Wl,--exclude-libs,ALL",)}
 _SYSTEMS = ("Linux", "Darwin")
@@ -75,9 +81,19 @@ class Library:
         """Return a new integrator without a program; in Python it is an openmm.CustomIntegrator."""
         return openmm.XmlSerializer.deserialize(f'<Integrator type="{TYPE}" version="1" stepSize="0"/>')
 
+    def adopt(self, integrator: Any) -> None:
+        """Make a new Python integrator, which has no Context and no variables yet, an integrator of this library."""
+        made = self.make()
+        made.setStepSize(integrator.getStepSize())
+        integrator.this = made.this
+
     def owns(self, integrator: Any) -> bool:
         """Return whether this library created an integrator."""
         return bool(self._functions.pi_owns(ctypes.c_void_p(int(integrator.this))))
+
+    def step_openmm(self, integrator: Any, steps: int) -> None:
+        """Let OpenMM perform its own part of steps, in which barostats and thermostats of the System act."""
+        self.call("own", integrator, steps)
 
     def call(self, function: str, integrator: Any, *arguments: Any) -> None:
         """Call a function of the library without Python's global lock; raise OpenMMException if the function fails."""
@@ -133,13 +149,13 @@ class Device:
         """Execute a sequence outside of a step."""
         self._call("run", sequence.encode())
 
-    def keep(self) -> None:
-        """Save the state of the Context and of the program."""
-        self._call("keep")
+    def keep(self, slot: int = 0) -> None:
+        """Save the state of the Context and of the program in one of two places, 0 and 1."""
+        self._call("keep", slot)
 
-    def restore(self) -> None:
-        """Restore the saved state."""
-        self._call("restore")
+    def restore(self, slot: int = 0) -> None:
+        """Restore the state that was saved in a place."""
+        self._call("restore", slot)
 
     @property
     def launches(self) -> int:
@@ -173,6 +189,11 @@ def library() -> Library:
     return Library(_found() or compiled())
 
 
+def of_library(integrator: Any) -> bool:
+    """Return whether an integrator is one of the library, if that is loaded."""
+    return library.cache_info().currsize > 0 and library().owns(integrator)
+
+
 def _found() -> Path | None:
     """Return the path of the wheel's library, or None if there is no library for this minor version of OpenMM."""
     version = BUNDLED.with_suffix(".txt")
@@ -199,7 +220,9 @@ def describe() -> str:
 def cached() -> Path:
     """Return the path of the library in the user's cache, where the file may not exist yet."""
     found = compiler()
-    what = (SOURCE.read_bytes(), openmm.__version__.encode(), _told(found, "--version").encode(), found.encode())
+    texts = [file.name.encode() + file.read_bytes() for file in (*SOURCES, *_INCLUDED)]
+    flags = " ".join((*_FLAGS, *_LINKER_FLAGS.get(platform.system(), ())))
+    what = (*texts, flags.encode(), openmm.__version__.encode(), _told(found, "--version").encode(), found.encode())
     digest = hashlib.sha256(b"\0".join(what)).hexdigest()[:16]
     return private_folder() / f"program_integrator-openmm{openmm.__version__}-{digest}.so"
 
@@ -251,23 +274,27 @@ def openmm_folder() -> Path:
 def build(path: Path, command: str | None = None) -> None:
     """Compile the library to a path; raise MissingLibraryError with the compiler's first error after a failure."""
     command, folder = command or compiler(), openmm_folder()
-    handle, temporary = tempfile.mkstemp(suffix=".so", dir=path.parent)
-    os.close(handle)
-    try:
-        version = f'-DBUILT_FOR="{openmm.__version__}"'
-        link = (f"-I{folder / 'include'}", str(SOURCE), "-o", temporary, f"-L{folder / 'lib'}", "-lOpenMM", "-ldl")
-        flags = (*_FLAGS, *_LINKER_FLAGS.get(platform.system(), ()))
-        done = subprocess.run([command, version, *flags, *link], capture_output=True, text=True, check=False)
-        if done.returncode:
-            errors = [line for line in done.stderr.splitlines() if "error" in line] or done.stderr.splitlines()
-            raise MissingLibraryError(
-                f"{command} cannot compile the device engine ({(errors or ['no message'])[0]}): name another C++ "
-                f"compiler in the environment variable {COMPILER}"
-            )
-        Path(temporary).chmod(0o700)
-        Path(temporary).replace(path)
-    finally:
-        Path(temporary).unlink(missing_ok=True)
+    with tempfile.TemporaryDirectory(dir=path.parent) as temporary:
+        compiling = (command, f'-DBUILT_FOR="{openmm.__version__}"', *_FLAGS, f"-I{folder / 'include'}", "-c")
+        objects = [Path(temporary) / source.with_suffix(".o").name for source in SOURCES]
+        with ThreadPoolExecutor() as threads:
+            list(threads.map(lambda source, out: _run((*compiling, str(source), "-o", str(out))), SOURCES, objects))
+        linked = Path(temporary) / path.name
+        flags = ("-shared", *_LINKER_FLAGS.get(platform.system(), ()))
+        _run((command, *flags, *map(str, objects), "-o", str(linked), f"-L{folder / 'lib'}", "-lOpenMM", "-ldl"))
+        linked.chmod(0o700)
+        linked.replace(path)
+
+
+def _run(command: Sequence[str]) -> None:
+    """Run a compiler; raise MissingLibraryError with its first error after a failure."""
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        errors = [line for line in done.stderr.splitlines() if "error" in line] or done.stderr.splitlines()
+        raise MissingLibraryError(
+            f"{command[0]} cannot compile the device engine ({(errors or ['no message'])[0]}): name another C++ "
+            f"compiler in the environment variable {COMPILER}"
+        )
 
 
 def private_folder() -> Path:

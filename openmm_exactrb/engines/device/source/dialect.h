@@ -1,0 +1,121 @@
+// OpenMM's common dialect on a processor: a group of threads is a single thread, so that barriers and memory that a group
+// shares need nothing. Kernels process a contiguous range of indices for each thread.
+#include "kernels.h"
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#if defined(_MSC_VER)
+#include <intrin.h>
+#endif
+#define PROCESSOR
+#define KERNEL
+#define DEVICE
+#define GLOBAL
+#define LOCAL
+#define LOCAL_ARG
+#define SYNC_THREADS
+#define LOCAL_ID 0
+#define LOCAL_SIZE 1
+#define GROUP_ID 0
+#define GLOBAL_ID 0
+#define GLOBAL_SIZE 1
+#define BLOCK 1
+#define GROUPS 1
+#define EACH(k, n) for (int k = 0; k < n; k++)
+#define OF_THREAD(i, n) int i = begin_of(thread, n); i < begin_of(thread+1, n); i++
+#define OF_GROUP(i, n) OF_THREAD(i, n)
+#define LOCAL_ARRAY(type, name, size) type* const name = sized(room_of_##name, size)
+#define HIGH_PRODUCT(a, b) high_product(a, b)
+#define TIMES_LOW_PARTS(q) low_parts_along(q)
+
+namespace exactrb {
+namespace {
+
+typedef long long mm_long;
+typedef unsigned long long mm_ulong;
+typedef double real;
+typedef double mixed;
+typedef double component;
+struct int4 {
+    int x, y, z, w;
+};
+struct vector3 { // OpenMM::Vec3, which has no fourth number
+    double x, y, z;
+};
+typedef vector3 real4;
+typedef vector3 mixed4;
+#define make_mixed4(x, y, z, w) mixed4{x, y, z}
+
+// A number of the state: a double and its rounding error. Sums have the rounding error of D. E. Knuth (The Art of
+// Computer Programming 2, 4.2.2, theorem B), as in openmm_exactrb.mathematics.compensated.
+struct number {
+    double high, low;
+    number() = default;
+    number(double high, double low = 0.0) : high(high), low(low) {
+    }
+    operator double() const {
+        return high;
+    }
+    number& operator+=(double step) {
+        const double b = step+low, sum = high+b, shadow = sum-high;
+        low = (high-(sum-shadow))+(b-shadow);
+        high = sum;
+        return *this;
+    }
+    number& operator-=(double step) {
+        return *this += -step;
+    }
+};
+
+inline double low_parts_along(const number* q) {
+    return q[0].high*q[0].low+q[1].high*q[1].low+q[2].high*q[2].low+q[3].high*q[3].low;
+}
+
+inline mm_ulong high_product(mm_ulong a, mm_ulong b) {
+#if defined(_MSC_VER)
+    return __umulh(a, b);
+#else
+    return (mm_ulong) (((unsigned __int128) a*b)>>64);
+#endif
+}
+
+template <class T> T* sized(std::vector<T>& room, size_t size) {
+    if (room.size() < size)
+        room.resize(size);
+    return room.data();
+}
+
+// OpenMM's Reference platform misses pairs of particles at negative coordinates that are roundoff.
+inline double without_roundoff(double x) {
+    return x < 0.0 && x > -1e-14 ? 0.0 : x;
+}
+
+inline void write_position(real4* posq, real4*, int4 place, const double*, double x, double y, double z) {
+    posq[place.x] = real4{without_roundoff(x), without_roundoff(y), without_roundoff(z)};
+}
+
+inline void read_position(const real4* posq, const real4*, int4 place, const double*, double* x) {
+    const real4 at = posq[place.x];
+    x[0] = at.x; x[1] = at.y; x[2] = at.z;
+}
+
+inline void read_force(const component* force, int slot, double* f) {
+    EACH(k, 3)
+        f[k] = force[3*slot+k];
+}
+
+// What all structs of kernels have.
+struct Thread {
+    int thread = 0, n_threads = 1;
+    int begin_of(int part, int n) const {
+        return (int) ((long long) n*part/n_threads);
+    }
+};
+
+using std::fabs;
+using std::fmax;
+using std::max;
+using std::min;
+
+} // namespace
+} // namespace exactrb
