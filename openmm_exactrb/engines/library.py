@@ -18,6 +18,7 @@ import stat
 import subprocess
 import sys
 import tempfile
+import weakref
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
@@ -40,7 +41,7 @@ _INCLUDED = tuple(sorted((*(_DEVICE / "source").glob("*.h"), *(_DEVICE / "kernel
 #: The library that a wheel contains.
 BUNDLED = _HERE / "program_integrator.so"
 #: The type of the library's integrators in XML.
-TYPE = "ProgramIntegrator"
+TYPE = "openmm_exactrb (import this package before you read its integrators)"
 #: The environment variable that names a compiler, and the commands that are tried if it names none.
 COMPILER = "CXX"
 _COMPILERS = ("c++", "g++", "clang++")
@@ -112,10 +113,10 @@ class Device:
     """
 
     def __init__(self, library: Library, integrator: Any) -> None:
-        self._library, self._integrator = library, integrator
+        self._library, self._integrator = library, weakref.ref(integrator)
 
     def _call(self, function: str, *arguments: Any) -> None:
-        self._library.call(function, self._integrator, *arguments)
+        self._library.call(function, self._integrator(), *arguments)
 
     def load(self, program: str) -> None:
         """Load a program, given as the text of an `openmm_exactrb.engines.device.program.Program`."""

@@ -42,11 +42,11 @@ class Clock:
     """The number of steps and the time (ps) of a Context within a call, on which some forces depend.
 
     Time advances in the drifts. Since time is treated as a coordinate, schemes keep their order with time-dependent
-    forces.
+    forces. The function step_openmm(integrator, n) lets OpenMM perform its own part of n steps.
     """
 
-    def __init__(self, context: openmm.Context) -> None:
-        self._context = weakref.ref(context)
+    def __init__(self, context: openmm.Context, step_openmm: Callable[[Any, int], None]) -> None:
+        self._context, self._step_openmm = weakref.ref(context), step_openmm
         self.begin()
 
     def begin(self) -> None:
@@ -80,7 +80,7 @@ class Clock:
         present = self.time + self._drifted
         openmm.Context.setStepCount(context, self.number - n)
         context.setTime(present - (n - 1) * h)
-        (library() if of_library(integrator) else variables).step_openmm(integrator, n)
+        self._step_openmm(integrator, n)
         openmm.Context.setStepCount(context, self.number)
         context.setTime(present)
 
@@ -113,7 +113,7 @@ class HostPropagator:
         self._positions = self.sync.positions
         self._bonded = BondedNumbers.of(self._system, self.sync.bodies.owner) if settings.fast else None
         self._take_fast_forces(settings)
-        self._clock = Clock(context)
+        self._clock = Clock(context, library().step_openmm if of_library(integrator) else variables.step_openmm)
         self._version: object = None
         self._processed, self._h = False, 0.0
         self.environment: HostEnvironment

@@ -248,7 +248,6 @@ def test_auto_continues_a_run_of_the_device(box, first, monkeypatch):
     integrator.step(3)
     assert apart(one, other) == 0.0
     assert integrator.getEngine() == "device"
-        assert apart(one, other) < 1e-12
 
 
 def test_a_state_that_is_not_finite_names_the_bodies_and_leaves_the_context(box):

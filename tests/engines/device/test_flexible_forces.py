@@ -10,10 +10,10 @@ from openmm_exactrb.engines.device.flexible import blocks
 from openmm_exactrb.engines.device.flexible.blocks import Group
 from openmm_exactrb.engines.device.flexible.molecules import Molecules
 from openmm_exactrb.engines.device.flexible.part import Flexible, FlexiblePart
-from openmm_exactrb.engines.library import Device, library
 from openmm_exactrb.engines.device.program import Program
 from openmm_exactrb.engines.device.rigid import Demands
 from openmm_exactrb.engines.device.segments import Segment, Table
+from openmm_exactrb.engines.library import Device, library
 from openmm_exactrb.mechanics.state import BodyState
 from openmm_exactrb.moves import Move, Op
 from starts import context_of
@@ -49,7 +49,7 @@ class Kicks:
         self.context = openmm.Context(system_of(n=ALL), integrator, device_platform(), precisions)
         self.context.setPositions(np.zeros((ALL, 3)))
         self.device = Device(library(), integrator)
-        self.device.load(program.text)
+        self.device.load(program.text(processor=False))
         moves, numbers = table.values(1.0, None)
         for name, values in (self.part.tables() | {"moves": moves, "numbers": numbers}).items():
             self.device.upload(name, values)

@@ -622,7 +622,7 @@ void ProgramIntegrator::deserializeParameters(const SerializationNode& node) {
 
 class Proxy : public SerializationProxy {
 public:
-    Proxy() : SerializationProxy("ProgramIntegrator") {
+    Proxy() : SerializationProxy("openmm_exactrb (import this package before you read its integrators)") {
     }
     void serialize(const void* object, SerializationNode& node) const override {
         const ProgramIntegrator& integrator = *static_cast<const ProgramIntegrator*>(object);
