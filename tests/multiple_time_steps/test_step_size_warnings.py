@@ -1,5 +1,6 @@
 """StepSizeWarning: resonances of nested forces, and heat that friction does not take away."""
 
+import functools
 import warnings
 
 import numpy as np
@@ -192,7 +193,7 @@ def looked_at(temperature, samples=400):
     for k in range(samples):
         integrator.setVelocitiesToTemperature(temperature, 1 + k)
         _, state = integrator.bodyState()
-        watch.see(0.2 * k, lambda: kinetic_by_kind(bodies, rb.mechanics.state.State.of(state)))
+        watch.see(0.2 * k, functools.partial(kinetic_by_kind, bodies, rb.mechanics.state.State.of(state)))
 
 
 def test_canonical_momenta_of_few_molecules_do_not():

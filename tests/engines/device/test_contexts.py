@@ -11,7 +11,6 @@ import pytest
 from zoo import apart, context_of, held, pair, water
 
 import openmm_exactrb as rb
-from on_device import REFERENCE
 from openmm_exactrb.engines.library import Device, library
 from openmm_exactrb.errors import IntegrationError, NonFiniteError
 from openmm_exactrb.openmm_access import platforms
@@ -336,11 +335,6 @@ def test_what_is_not_served_is_refused_with_a_sentence(box):
         rb.ExactRigidBodyIntegrator(H, rotor="mclachlan_reich", engine="device")
     with pytest.raises(ValueError, match="the device does not support HybridMonteCarlo"):
         ExactRigidBodyHybridIntegrator(300.0, 1.0, H, engine="device")
-    integrator = make()
-    context = openmm.Context(copy.deepcopy(box[0]), integrator, REFERENCE)
-    context.setPositions(box[1])
-    with pytest.raises(ValueError, match=r"CUDA, HIP or OpenCL, not Reference: use engine='host' instead"):
-        integrator.step(1)
 
 
 def test_an_integrator_with_a_program_that_openmm_read_alone_says_that_it_cannot_step(box):

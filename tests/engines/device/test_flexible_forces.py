@@ -14,7 +14,7 @@ from openmm_exactrb.engines.device.program import Program
 from openmm_exactrb.engines.device.rigid import Demands
 from openmm_exactrb.engines.device.segments import Segment, Table
 from openmm_exactrb.engines.library import Device, library
-from openmm_exactrb.mechanics.state import BodyState
+from openmm_exactrb.mechanics.state import BodyState, State
 from openmm_exactrb.moves import Move, Op
 from starts import context_of
 
@@ -56,7 +56,8 @@ class Kicks:
 
     def __call__(self, x):
         """Return the forces at places."""
-        self.part.write(self.device, BodyState(x.T.copy(), np.zeros((3, ALL)), np.zeros((4, 0)), np.zeros((3, 0))))
+        rounded = BodyState(x.T.copy(), np.zeros((3, ALL)), np.zeros((4, 0)), np.zeros((3, 0)))
+        self.part.write(self.device, State.of(rounded))
         self.device.run("kick")
         out = BodyState(np.zeros((3, ALL)), np.zeros((3, ALL)), np.zeros((4, 0)), np.zeros((3, 0)))
         self.part.read(self.device, out)
