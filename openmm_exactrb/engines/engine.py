@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol
 
 import openmm
@@ -108,10 +109,17 @@ class Settings:
         if not self.scheme.processor:
             return 0.0
         state = context.getState(parameters=True)
-        surroundings = arrays.surroundings(state), state.getTime()._value
-        belongs_to = self.scheme.processor, self.h, self.groups, self.rotor.name, self.fast, surroundings
-        digest = hashlib.blake2b(repr(belongs_to).encode(), digest_size=6).digest()
-        return 1.0 + int.from_bytes(digest, "big")
+        return _hash(self.identity, arrays.surroundings(state), state.getTime()._value)
+
+    @cached_property
+    def identity(self) -> float:
+        """A number that identifies the settings to which the inner state of a processed scheme belongs."""
+        return _hash(self.scheme.processor, self.h, self.groups, self.rotor.name, self.fast)
+
+
+def _hash(*values: object) -> float:
+    """Return a number from 1 that identifies values, in every process."""
+    return 1.0 + int.from_bytes(hashlib.blake2b(repr(values).encode(), digest_size=6).digest(), "big")
 
 
 class Propagator(Protocol):

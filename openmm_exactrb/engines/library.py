@@ -114,6 +114,7 @@ class Device:
 
     def __init__(self, library: Library, integrator: Any) -> None:
         self._library, self._integrator = library, weakref.ref(integrator)
+        self._result = (ctypes.c_double * 4)()
 
     def _call(self, function: str, *arguments: Any) -> None:
         self._library.call(function, self._integrator(), *arguments)
@@ -145,6 +146,29 @@ class Device:
     def step(self, steps: int) -> None:
         """Perform a number of steps."""
         self._call("steps", steps)
+
+    def perform(self, steps: int, shows: bool) -> tuple[float, float, float, int]:
+        """Save the state in place 0, perform steps, and return a report, and the number of evaluations.
+
+        A processed scheme first computes its inner state, unless the present one belongs to the present settings. If
+        `shows` is true or the scheme is not processed, the Context shows the result, to which the report refers.
+        """
+        self._call("perform", steps, int(shows), self._result)
+        translation, rotation, invalid, evaluations = self._result
+        return translation, rotation, invalid, int(evaluations)
+
+    def show(self) -> None:
+        """Show the state of a processed scheme in the Context."""
+        self._call("show")
+
+    def report(self, shown: bool) -> tuple[float, float, float]:
+        """Return the kinetic energies (kJ/mol) of translation and rotation, and the number of invalid bodies.
+
+        The report refers to the state that the Context shows, or to the inner state.
+        """
+        self._call("report", int(shown), self._result)
+        translation, rotation, invalid, _ = self._result
+        return translation, rotation, invalid
 
     def run(self, sequence: str) -> None:
         """Execute a sequence outside of a step."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
@@ -87,7 +88,7 @@ class Assembly:
         others = np.concatenate([np.zeros(0, int), *(part.bodies for part in molecules)])
         self.parts: list[RigidPart | FlexiblePart] = [*molecules, *parts_of(bodies, demands, others)]
         self.program = to = Program()
-        to.scalars |= {"turn": 0.0, "key": 0.0}
+        to.scalars |= {"turn": 0.0, "key": 0.0, "enough": self._enough}
         to.array("factors", 2)
         to.array("totals", 3)
         to.array("thermostat", factors.size if factors else 0, saved=True)
@@ -106,10 +107,11 @@ class Assembly:
         arrays = "totals", "factors", "thermostat", Table.MOVES, Table.NUMBERS
         return lambda row: Launch(source, factors.kernel, 1, (*arrays, row, "#step", "$key"), 1)
 
-    def cheap(self, turns: float) -> bool:
-        """Return whether the output uses stored forces, and enough forces are stored after `turns` steps."""
+    @property
+    def _enough(self) -> float:
+        """The number of steps that store enough forces for the output, which is infinite if the output needs none."""
         pairs = (self._demands.memory, self._demands.differences)
-        return bool(self.scheme.output) and all(turns * per_step >= size for size, per_step in pairs)
+        return max(math.ceil(size / per_step) for size, per_step in pairs) if self.scheme.output else 1e300
 
 
 def _moves(scheme: Scheme) -> Iterable[Move]:

@@ -100,7 +100,7 @@ def copy(array: str, to: str) -> str:
 SITES, REORDER, STEP = "sites", "reorder", "step"
 
 # Scalars of the integrator.
-_COUNTS = ("interval", "always", "removal", "calls", "held")
+_COUNTS = ("interval", "always", "removal", "calls", "held", "settings", "inner", "enough")
 
 #: A launch, or another operation as a line of the program.
 Operation = Launch | str
@@ -114,6 +114,8 @@ class Program:
     barostat, and "removal", the number of steps between removals of the centre-of-mass motion; 0 means never. If
     "always" is not 0, barostats or thermostats may act after every step. In "calls" the integrator counts the steps
     since OpenMM last updated the Context. "held" is 1 if the last call ended with the sequence "hold".
+    "settings" identifies the settings to which the inner state of a processed scheme belongs, "inner" is the
+    fingerprint of this state, or 0 without one, and "enough" is the number of steps after which its output is cheap.
     """
 
     arrays: dict[str, Array] = field(default_factory=dict)

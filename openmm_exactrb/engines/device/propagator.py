@@ -85,10 +85,9 @@ class DevicePropagator:
         self._conserves = conserve_energy(system)
         self._version: object = None
         self._shown = True  # whether the Context shows the state, which within a call of a processed scheme it does not
-        self._kept = (
-            0.0,
-            True,
-        )  # the fingerprint of the inner coordinates, and `_shown`, before the steps
+        self._kept = True  # `_shown` before the present steps
+        self._sent: dict[str, float] = {}
+        self._evaluations = self.device.evaluations
         self._portion = _FEWEST
         self._largest = 0.0  # the largest kinetic energy (kJ/mol) that was accepted
         self._reference: Energies | None = None  # the energies when it was accepted
@@ -189,6 +188,7 @@ class DevicePropagator:
             self._fast_changed = False
         self._warn_of_resonances()
         self._overheating = self._monitor()
+        self.device["settings"] = settings.identity
         moves, numbers = self._assembly.table.values(settings.h, self._exchange)
         self.device.upload("moves", moves)
         self.device.upload("numbers", numbers)
@@ -229,12 +229,17 @@ class DevicePropagator:
         numbers = self._settings.thermostat.kernel_exchange(tau, self.updates.freedom(self.sync.bodies))
         return (*numbers, *(0.0,) * (EXCHANGE_NUMBERS - len(numbers)))
 
-    def _send_intervals(self) -> None:
-        """Write to the device how often barostats and thermostats act, and begin to count steps if this has changed."""
-        device, intervals = self.device, (float(self.updates.interval), float(self.updates.always))
-        if (device["interval"], device["always"]) != intervals:
-            device["interval"], device["always"] = intervals
-            device["calls"] = 0.0
+    def _send(self, key: int) -> None:
+        """Write the key of the random numbers, and how often barostats and thermostats act, if they have changed."""
+        intervals = {"interval": float(self.updates.interval), "always": float(self.updates.always)}
+        present = intervals | {"key": float(key)}
+        if present == self._sent:
+            return
+        if any(self.device[name] != value for name, value in intervals.items()):
+            self.device["calls"] = 0.0  # begin to count steps
+        for name, value in present.items():
+            self.device[name] = value
+        self._sent = present
 
     def _send_numbers(self) -> None:
         """Write the persistent numbers of a thermostat to the device."""
@@ -263,14 +268,16 @@ class DevicePropagator:
         IntegrationError
             If integration errors increase the total energy abruptly.
         """
-        changed = self.sync.settle()
-        if self.device.changes(clear=FORCES) & FORCES:
+        changes = self.device.changes(clear=FORCES)
+        changed = self.sync.settle(changes)
+        if changes & FORCES:
             self._take_new_forces()
         if version != self._version:
             self._bind(settings())
             self._version, changed = version, True
-        self.device["key"] = key
-        self._send_intervals()
+        if changed:
+            self._sent = {}
+        self._send(key)
         if changed:
             self._largest, self._reference = self._report()[0], None
             self._send_numbers()
@@ -295,8 +302,7 @@ class DevicePropagator:
         If the steps diverge, they are repeated one by one, to find the step that does. The message names this step, and
         the Context contains the state before it.
         """
-        self._kept = self._coordinates, self._shown
-        self.device.keep()
+        self._kept = self._shown
         try:
             self._make(n, shows, since)
         except _DivergedError as found:
@@ -324,8 +330,7 @@ class DevicePropagator:
 
     def _make(self, n: int, shows: bool, since: Energies | None) -> None:
         """Perform n steps; raise _DivergedError if they diverge."""
-        self._step(n, shows)
-        kinetic, bad = self._report()
+        kinetic, bad = self._step(n, shows)
         if bad:
             self._refuse()
         if kinetic > GROWN * self._largest and self._judged and kinetic > GROWN * self._thermal:
@@ -335,45 +340,38 @@ class DevicePropagator:
     def _restore(self) -> None:
         """Restore the state before the present steps."""
         self.device.restore()
-        self._coordinates, self._shown = self._kept
+        self._shown = self._kept
         self.sync.moved_on()
 
     def _show(self) -> None:
         """Show the state of a processed scheme in the Context, if it does not yet."""
         if not self._shown:
-            self.device.run("output" if self._assembly.cheap(self.device["turn"]) else "postprocess")
+            self.device.show()
             self._shown = True
 
-    def _step(self, n: int, shows: bool) -> None:
-        """Perform n steps, and show the result in the Context if `shows` is true or the scheme is not processed."""
-        device, before = self.device, self.device.evaluations
+    def _step(self, n: int, shows: bool) -> tuple[float, bool]:
+        """Perform n steps, and return a report; the Context `shows` the result, as it does without a processor."""
+        device, evaluations, self._shown = self.device, self._evaluations, shows or not self._processed
         try:
-            if self._processed:
-                self._enter()
-            device.step(n)
-            if self._processed:
-                self._coordinates = self._fingerprint  # a barostat may have changed the box
-            self._shown = not self._processed
-            if shows:
-                self._show()
+            *report, evaluations = device.perform(n, shows)
         except openmm.OpenMMException as error:
+            evaluations = device.evaluations
             if "NaN" not in str(error):
                 raise
             self._refuse()
         finally:
             trials = self.updates.trial_energies(n)
             around = trials // 2 * self._assembly.evaluated_around
-            slow = device.evaluations - before - n * self._assembly.evaluated - around
+            slow = evaluations - self._evaluations - n * self._assembly.evaluated - around
+            self._evaluations = evaluations
             self._timings.evaluations += slow + trials
             self._timings.fast_evaluations += n * self._assembly.fast_evaluations + around
             self.sync.moved_on()
+        return _judged(*report)
 
     def _report(self) -> tuple[float, bool]:
         """Return the kinetic energy (kJ/mol), and whether the state of any body is invalid."""
-        self.device.run("report" if self._shown else "report_inner")
-        translation, rotation, lost_bodies = self.device.download("totals", np.empty(3))
-        kinetic = float(translation + rotation)
-        return kinetic, bool(lost_bodies) or not math.isfinite(kinetic)
+        return _judged(*self.device.report(self._shown))
 
     def _refuse(self) -> None:
         """Raise _DivergedError with the names of the invalid bodies."""
@@ -405,11 +403,11 @@ class DevicePropagator:
         message = gained(size, known, after) if known is not None else ""
         if since is None and message is not None:
             self.device.keep(_AFTER)
-            here = self._coordinates, self._shown
+            here = self._shown
             self._restore()
             message = gained(size, self._energies(), after)
             self.device.restore(_AFTER)
-            self._coordinates, self._shown = here
+            self._shown = here
         if message is not None:
             raise _DivergedError(IntegrationError, message)
         self._reference = after
@@ -424,7 +422,7 @@ class DevicePropagator:
 
     def _take_new_forces(self) -> None:
         """Discard all that belongs to the forces before a change: inner coordinates, and numbers of fast forces."""
-        self._coordinates = 0.0
+        self.device["inner"] = 0.0
         system, settings = self.sync.context.getSystem(), self._settings
         if self._bonded is None or not self._bonded.changed(system):
             return
@@ -437,25 +435,8 @@ class DevicePropagator:
         self._resonances = self._found.resonances(system)
         self._fast_changed, self._version = True, None
 
-    # -- inner coordinates of a processed scheme -----------------------------------------------------------------------
 
-    def _enter(self) -> None:
-        """Compute inner coordinates from the shown state, unless they are available for the present settings."""
-        if self._coordinates != self._fingerprint:
-            self.device.run("enter")
-            self.device["turn"] = self.device["held"] = 0.0
-            self._coordinates = self._fingerprint
-
-    @property
-    def _fingerprint(self) -> float:
-        """The fingerprint of inner coordinates that belong to the present settings, box and parameters."""
-        return float(self._settings.fingerprint(self.sync.context))
-
-    @property
-    def _coordinates(self) -> float:
-        """The fingerprint (see `Settings.fingerprint`) of the inner coordinates, or 0 without inner coordinates."""
-        return variables.get(self._integrator(), variables.COORDINATES)
-
-    @_coordinates.setter
-    def _coordinates(self, fingerprint: float) -> None:
-        variables.put(self._integrator(), variables.COORDINATES, fingerprint)
+def _judged(translation: float, rotation: float, invalid: float) -> tuple[float, bool]:
+    """Return the kinetic energy (kJ/mol) of a report, and whether the state of any body is invalid."""
+    kinetic = translation + rotation
+    return kinetic, bool(invalid) or not math.isfinite(kinetic)

@@ -57,9 +57,9 @@ class DeviceState(Synchronisation):
             self.push()
         return True
 
-    def settle(self) -> bool:
-        """Call `pull` if there are external changes; return whether the state changed."""
-        return self.pull() if self._device.changes() & (SET | LOADED) else False
+    def settle(self, changes: int) -> bool:
+        """Call `pull` if there are external changes (see `Device.changes`); return whether the state changed."""
+        return self.pull() if changes & (SET | LOADED) else False
 
     def moved_on(self) -> None:
         """Record that the device has moved the bodies, or was restored."""
@@ -87,11 +87,11 @@ class DeviceState(Synchronisation):
             if self._processed and self.inner is not None:
                 part.write(self._device, self.inner.state, copied=False)
         if self._processed and self.inner is None:
-            variables.put(self._integrator(), variables.COORDINATES, 0.0)
+            self._device["inner"] = 0.0
 
     def _inner(self) -> Inner | None:
         """Read the state in inner coordinates from the device, or return None if there is no such state."""
-        fingerprint = variables.get(self._integrator(), variables.COORDINATES)
+        fingerprint = self._device["inner"]
         return Inner(self._read(copied=False), fingerprint) if fingerprint else None
 
     def on_device(self, shown: bool) -> State:

@@ -46,6 +46,9 @@ public:
     void makeSteps(int steps);
     void makeOwnPart(int steps);
     void runAlone(const string& sequence);
+    void perform(int steps, bool shows, double* result);
+    void show();
+    void report(bool shown, double* totals);
     void keep(int slot);
     void restore(int slot);
     void upload(const string& name, const void* data, size_t bytes);
@@ -102,6 +105,7 @@ private:
     }
     void build();
     const vector<Operation>& sequence(const string& name) const;
+    double fingerprint();
     void carryOut(const vector<Operation>& operations);
     void launch(int index);
     void evaluate(int groups);
@@ -433,6 +437,56 @@ void ProgramIntegrator::runAlone(const string& name) {
         forcesStale |= o.kind == Operation::Forces || (o.kind == Operation::Run && kernels[o.which].places());
 }
 
+// A number that identifies all to which the inner state of a processed scheme belongs, except forces: the settings, the
+// box, the parameters and the time.
+double ProgramIntegrator::fingerprint() {
+    unsigned long long hash = 14695981039346656037ULL;  // FNV-1a
+    auto add = [&](const void* data, size_t bytes) {
+        for (size_t i = 0; i < bytes; i++)
+            hash = (hash^static_cast<const unsigned char*>(data)[i])*1099511628211ULL;
+    };
+    const double settings = scalar("settings"), time = machine->time();
+    add(&settings, sizeof(settings)), add(&time, sizeof(time));
+    Vec3 box[3];
+    context->getPeriodicBoxVectors(box[0], box[1], box[2]);
+    add(box, sizeof(box));
+    for (auto& parameter : context->getParameters())
+        add(parameter.first.data(), parameter.first.size()), add(&parameter.second, sizeof(parameter.second));
+    return 1.0+(double) (hash>>16);
+}
+
+// Show the state of a processed scheme in the Context: by "output" if "turn" is at least "enough", else by "postprocess".
+void ProgramIntegrator::show() {
+    runAlone(scalar("turn") >= scalar("enough") ? "output" : "postprocess");
+}
+
+// Compute the kinetic energies of translation and rotation, and the number of invalid bodies, of the state that the Context
+// shows or of the inner state.
+void ProgramIntegrator::report(bool shown, double* totals) {
+    runAlone(shown ? "report" : "report_inner");
+    download("totals", totals, 3*sizeof(double));
+}
+
+// Keep the state, perform steps, show the result if `shows` is true or the scheme is not processed, and report on it. The
+// fourth number of the result is `forceCalls`. "inner" is the fingerprint of the inner state, or 0 without one.
+void ProgramIntegrator::perform(int steps, bool shows, double* result) {
+    keep(0);
+    const bool processed = sequences.count("enter") > 0;
+    if (processed && scalar("inner") != fingerprint()) {
+        runAlone("enter");
+        scalar("turn") = scalar("held") = 0;
+        scalar("inner") = fingerprint();
+    }
+    makeSteps(steps);
+    if (processed) {
+        scalar("inner") = fingerprint();  // a barostat may have changed the box
+        if (shows)
+            show();
+    }
+    report(shows || !processed, result);
+    result[3] = (double) forceCalls;
+}
+
 // Perform OpenMM's updates (barostats, thermostats, CMMotionRemover) for the last `calls` steps.
 void ProgramIntegrator::update(int calls, bool leaves) {
     const int interval = (int) scalar("interval");
@@ -712,6 +766,9 @@ EXPORT(get, (void* integrator, const char* name, double* value), *value = it.sca
 EXPORT(steps, (void* integrator, int steps), it.makeSteps(steps))
 EXPORT(own, (void* integrator, int steps), it.makeOwnPart(steps))
 EXPORT(run, (void* integrator, const char* sequence), it.runAlone(sequence))
+EXPORT(perform, (void* integrator, int steps, int shows, double* result), it.perform(steps, shows != 0, result))
+EXPORT(show, (void* integrator), it.show())
+EXPORT(report, (void* integrator, int shown, double* totals), it.report(shown != 0, totals))
 EXPORT(keep, (void* integrator, int slot), it.keep(slot))
 EXPORT(restore, (void* integrator, int slot), it.restore(slot))
 EXPORT(count, (void* integrator, int which, long long* value), *value = which == 0 ? it.launches : it.forceCalls)
