@@ -92,7 +92,7 @@ class DevicePropagator:
         self._largest = 0.0  # the largest kinetic energy (kJ/mol) that was accepted
         self._reference: Energies | None = None  # the energies when it was accepted
         self._load()
-        if (evaluated := self._served.evaluated) is not None:
+        if (evaluated := self._served.evaluated) is not None and not self._on_processor:
             warn(evaluated.warning)
 
     @property

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from typing import Any
 
+import numpy as np
 import openmm
 
 from openmm_exactrb.context import variables
@@ -14,6 +15,7 @@ from openmm_exactrb.engines.device.propagator import DevicePropagator
 from openmm_exactrb.engines.engine import Engine, Propagator, Settings
 from openmm_exactrb.engines.library import TYPE, Device, describe, library
 from openmm_exactrb.errors import MissingLibraryError
+from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.moves import Op, of_substep
 from openmm_exactrb.multiple_time_steps.found import found
 from openmm_exactrb.openmm_access import platforms
@@ -23,6 +25,9 @@ from openmm_exactrb.substeps import Drift
 from openmm_exactrb.support.descriptions import mismatch
 
 _ROTORS = ("exact", "exact_numpy", "exact_compiled")
+# The smallest ratio of the moments of inertia of a body; a thermal body with a smaller one may rotate about its axis by
+# thousands of radians in a drift.
+_SLENDER = 1e-6
 
 
 def _unsupported(settings: Settings) -> str | None:
@@ -58,6 +63,8 @@ def _unsupported_in(context: Any, settings: Settings) -> str | None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the propagator issues these warnings
         bodies, _, fast = found(context, settings.named, settings.fast)
+    if (why := _slender(bodies)) is not None:
+        return why
     try:
         molecules, evaluated = served(context, bodies, fast, settings)
     except NotServedError as error:
@@ -73,6 +80,16 @@ def _unsupported_around(scheme: Scheme) -> str | None:
         return "the force gradients"
     own = [substep for substep, _ in scheme.rows if isinstance(substep, Drift) and type(substep) is not Drift]
     return f"the drifts {own[0]!r}" if own else None
+
+
+def _slender(bodies: RigidBodies) -> str | None:
+    """Return which body is so slender that kernels would divide a drift into too many short rotations, or None."""
+    moments = bodies.principal_moments
+    smallest = np.where(moments > 0.0, moments, np.inf).min(axis=0, initial=np.inf)
+    which = np.flatnonzero(smallest < _SLENDER * moments.max(axis=0, initial=0.0))
+    if not len(which):
+        return None
+    return f"the device does not support {bodies.name(int(which[0]))}, which is nearly linear"
 
 
 def _unsupported_beside_molecules(settings: Settings) -> str | None:

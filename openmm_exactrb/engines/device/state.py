@@ -108,10 +108,9 @@ class DeviceState(Synchronisation):
 
     def push(self) -> None:
         """Write the state to the Context and to the device."""
-        context = self.context
-        context.setPositions(self.bodies.positions(self.state.rounded, self.particles))
+        self.positions.moved()  # the device may have moved the bodies since they were written
+        self.positions.write(self.state)
         self.write_velocities(self.state)
-        context.computeVirtualSites()
         self._upload()
         self._device.changes(clear=SET | LOADED)
 

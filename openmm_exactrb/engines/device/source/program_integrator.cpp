@@ -387,15 +387,14 @@ void ProgramIntegrator::makeSteps(int steps) {
     const bool holds = sequences.count("hold") > 0;
     bool begins = true;
     for (int i = 0; i < steps; i++) {
-        if (begins && held != 0) {
+        if (begins && held != 0 && holds)
             carryOut(sequence("resume"));
-            held = 0;
-        }
         else if (begins) {
             if (forcesStale || !machine->hasForces() || getIntegrationForceGroups() != forceGroups)
                 carryOut(forces);
             carryOut(open);
         }
+        held = 0;
         carryOut(body);
         calls++;
         const bool acts = always || (interval > 0 && updates + (long long) calls >= interval);
