@@ -21,7 +21,7 @@ from openmm_exactrb.multiple_time_steps.found import found
 from openmm_exactrb.openmm_access import platforms
 from openmm_exactrb.rotors import ROTORS
 from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.substeps import Drift
+from openmm_exactrb.substeps import Drift, Substep
 from openmm_exactrb.support.descriptions import mismatch
 
 _ROTORS = ("exact", "exact_numpy", "exact_compiled")
@@ -60,6 +60,8 @@ def _unsupported_in(context: Any, settings: Settings) -> str | None:
         return f"the device engine needs the platform CUDA, HIP, OpenCL, CPU or Reference, not {name}"
     if name in platforms.DEVICES and "," in platform.getPropertyValue(context, "DeviceIndex"):
         return "the device engine needs a Context on one device, not on several"
+    if name in platforms.PROCESSORS and (own := _with_text(settings.scheme)):
+        return f"the kernels for the platform {name} are compiled without the device_moves of {own!r}"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the propagator issues these warnings
         bodies, _, fast = found(context, settings.named, settings.fast)
@@ -96,10 +98,15 @@ def _unsupported_beside_molecules(settings: Settings) -> str | None:
     """Return the reason why the kernels of flexible molecules do not support the scheme, or None."""
     if settings.scheme.has_gradients:
         return f"the device has no force-gradient kicks for flexible molecules, which {settings.outer.name} needs"
-    for substep, part in settings.scheme.rows:
-        if any(move.op == Op.OWN for move in of_substep(substep, part)):
-            return f"the device has no kernel of {substep!r} for flexible molecules"
+    if own := _with_text(settings.scheme):
+        return f"the device has no kernel of {own!r} for flexible molecules"
     return None
+
+
+def _with_text(scheme: Scheme) -> Substep | None:
+    """Return the first substep with a move that is a text of its own, or None."""
+    with_text = (row[0] for row in scheme.rows if any(move.op == Op.OWN for move in of_substep(*row)))
+    return next(with_text, None)
 
 
 def _advice(context: Any, settings: Settings) -> tuple[bool, str]:

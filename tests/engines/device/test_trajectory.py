@@ -96,6 +96,15 @@ def test_with_one_seed_langevin_dynamics_has_the_noise_of_the_host(scheme):
     assert apart(host, device) < 1e-9
 
 
+def moving_water(integrator, platform):
+    """Return the Context of a few water molecules on a platform."""
+    _, system, positions = rb.rigid_water(8)
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform(platform))
+    context.setPositions(positions)
+    context.setVelocitiesToTemperature(300.0, 1)
+    return context
+
+
 @dataclass(frozen=True)
 class Fading(Substep):
     """Momenta fade at a rate; all have one name for their function on the device."""
@@ -126,6 +135,23 @@ def test_moves_of_users_may_have_functions_of_one_name():
         system, positions, lambda engine: rb.ExactRigidBodyIntegrator(0.002, scheme, engine=engine, bodies=bodies)
     )
     assert stepped(contexts) < 1e-12
+
+
+@pytest.mark.parametrize("platform", ["Reference", "CPU"])
+def test_moves_of_users_are_left_to_the_host_where_kernels_are_compiled_before(platform):
+    rows = ((Fading(3.0), 0.5), (KICK, 0.5), (DRIFT, 1.0), (KICK, 0.5), (Fading(50.0), 0.5))
+    scheme, ends = Scheme("fading", 1, rows), []
+    for engine in ("host", "auto"):
+        integrator = rb.ExactRigidBodyIntegrator(0.002, scheme, engine=engine)
+        context = moving_water(integrator, platform)
+        integrator.step(10)
+        ends.append(context.getState(positions=True).getPositions(asNumpy=True)._value)
+    np.testing.assert_array_equal(*ends)
+    assert "compiled without the device_moves of Fading(rate=3.0)" in integrator.engineNote()
+    integrator = rb.ExactRigidBodyIntegrator(0.002, scheme, engine="device")
+    _context = moving_water(integrator, platform)
+    with pytest.raises(ValueError, match=f"for the platform {platform} are compiled without .*: use engine='host'"):
+        integrator.step(1)
 
 
 def test_a_text_without_a_move_is_refused():
