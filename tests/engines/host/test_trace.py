@@ -43,9 +43,9 @@ def trace_of(system, positions, integrator):
 @pytest.mark.parametrize(
     ("make", "most"),
     [
-        (lambda **options: rb.ExactRigidBodyIntegrator(0.0005, "S2_2", **options), 18),
-        (lambda **options: rb.ExactRigidBodyIntegrator(0.0005, **options), 19),
-        (lambda **options: rb.ExactRigidBodyLangevinIntegrator(100.0, 1.0, 0.0005, "S2_2", **options), 22),
+        (lambda **options: rb.ExactRigidBodyIntegrator(0.0005, "S2_2", **options), 19),
+        (lambda **options: rb.ExactRigidBodyIntegrator(0.0005, **options), 20),
+        (lambda **options: rb.ExactRigidBodyLangevinIntegrator(100.0, 1.0, 0.0005, "S2_2", **options), 23),
     ],
     ids=["S2_2", "default", "Langevin"],
 )
@@ -59,9 +59,9 @@ def test_a_step_of_water_passes_few_files(make, most):
 @pytest.mark.parametrize(
     ("make", "most"),
     [
-        (lambda **options: rb.ExactRigidBodyIntegrator(0.0005, "S2_2", fast=None, **options), 18),
-        (lambda **options: rb.ExactRigidBodyLangevinIntegrator(100.0, 1.0, 0.0005, "S2_2", fast=None, **options), 22),
-        (lambda **options: rb.ExactRigidBodyIntegrator(0.0005, "S2_2", fast="bonded", **options), 27),
+        (lambda **options: rb.ExactRigidBodyIntegrator(0.0005, "S2_2", fast=None, **options), 19),
+        (lambda **options: rb.ExactRigidBodyLangevinIntegrator(100.0, 1.0, 0.0005, "S2_2", fast=None, **options), 23),
+        (lambda **options: rb.ExactRigidBodyIntegrator(0.0005, "S2_2", fast="bonded", **options), 28),
     ],
     ids=["plain", "Langevin", "nested"],
 )
