@@ -127,4 +127,8 @@ class DeviceState(Synchronisation):
     def _write(self) -> None:
         """Do nothing, because OpenMM saves the arrays of the program, which contain the state."""
 
-    _write_shown = _unmark = _withdraw = _write
+    _unmark = _withdraw = _write
+
+    def _write_shown(self) -> None:
+        """Discard the inner state, which the forces of a reinitialised Context may not continue."""
+        self._device["inner"] = 0.0

@@ -261,9 +261,6 @@ void ProgramIntegrator::initialize(ContextImpl& impl) {
         machine = processorOf(impl);
     changes = 7;
     forcesStale = placesStale = true;
-    for (Scalar& s : scalars)
-        if (s.name == "inner")
-            s.value = 0;  // the forces may have changed
     build();
 }
 
