@@ -67,9 +67,10 @@ class ExactRigidBodyIntegrator(Copied, OwnProgram, openmm.CustomIntegrator, Body
         forces per shortest period of bonds and angles, at least 12.5 in schemes that contain a heat exchange, and at
         least 80 with SRKN4_6b.
     engine : {"auto", "host", "device"}, optional
-        Where steps are performed. "host" means the CPU. "device" means the device of the Platform, with kernels for
-        CUDA, HIP and OpenCL (see "On a GPU" in the documentation). "auto" means the device if it is a GPU and the
-        device engine supports the System and the settings (see `engineNote`).
+        What performs the steps. "host" means Python and numba on the CPU. "device" means kernels on the device of the
+        Platform (CUDA, HIP or OpenCL) or, for Reference and CPU, in the package's C++ library (see "On a GPU" in the
+        documentation). "auto" means "device", except on devices that are no GPU, if the library is available and the
+        engine supports the System and the settings; otherwise "host" (see `engineNote`).
     thermostat : Thermostat, optional
         A thermostat of `openmm_exactrb.thermostats` or your own. With a thermostat, the scheme may also be a key of
         `openmm_exactrb.schemes.WITH_THERMOSTAT`. None means constant energy.
@@ -81,8 +82,9 @@ class ExactRigidBodyIntegrator(Copied, OwnProgram, openmm.CustomIntegrator, Body
         active matter. The total energy is also not checked if the System has a PythonForce from outside this package or
         a force of a plugin, because these forces may do work. Non-finite numbers always raise an error.
     constraints : sequence of callable, optional
-        Types of constraints in addition to the distances of the System, on the host only: functions of the free motion
-        and the bodies that return the constrained free motion (see "A constraint type" in the documentation).
+        Types of constraints in addition to the distances of the System, with the host engine only: functions of the
+        free motion and the bodies that return the constrained free motion (see "A constraint type" in the
+        documentation).
 
     Raises
     ------

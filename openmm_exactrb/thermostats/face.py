@@ -64,7 +64,7 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         Raises
         ------
         ValueError
-            If no step has been performed since the bodies were last changed, or on the device.
+            If no step has been performed since the bodies were last changed, or with the device engine.
         """
         propagator = self._up_to_date()
         if (exchange := propagator.last_exchange) is None:
