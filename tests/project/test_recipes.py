@@ -158,7 +158,7 @@ def test_a_thermostat_is_a_class_that_an_integrator_takes():
 def test_a_thermostat_without_collisions_changes_no_bit():
     states = []
     for thermostat in (None, typed("A thermostat")["Andersen"](300.0, 0.0)):
-        integrator = rb.ExactRigidBodyIntegrator(0.01, scheme="V2", thermostat=thermostat)
+        integrator = rb.ExactRigidBodyIntegrator(0.01, scheme="V2", thermostat=thermostat, engine="host")
         _context = moving(integrator)
         integrator.step(10)
         states.append(integrator.fullState()[1])
@@ -203,7 +203,7 @@ def test_a_constraint_type_is_an_argument(scheme):
     """With forces at displaced positions too, and of this integrator alone."""
     on_a_plane = typed("A constraint type")["on_a_plane"]
     begin, plane = pushed(scheme, constraints=[on_a_plane])
-    _, space = pushed(scheme)
+    _, space = pushed(scheme, engine="host")
     np.testing.assert_array_equal(plane.R[:, :2], space.R[:, :2])
     np.testing.assert_array_equal(plane.R[:, 2], begin.R[:, 2])
     assert abs(space.R[0, 2] - begin.R[0, 2]) > 1e-3
