@@ -1,4 +1,4 @@
-"""Tables of droplet.py, water_boxes.py, energy_balance.py, averages.py, reading_point.py and shadow.py."""
+"""Tables of droplets and boxes of water, of energy balances, averages, reading points and shadow energies."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.common.markdown import distinct, rows, table, with_error
 from benchmarks.common.records import Row
 from benchmarks.common.reported import error_over_runs
-from benchmarks.water import corrected_water
+from benchmarks.water import corrected_water, energy_drift
 from benchmarks.water.averages import KEY, OFFSET, PARTS, UNITS
 from benchmarks.water.equipartition_record import FRICTION, LFM, NAMES, RECORD, less, read, whole
 
@@ -48,6 +48,23 @@ def box_energies() -> str:
         cells = (f"{float(row[f'std_{ps}_ps']):.1e}".replace("e-0", "e-") for ps in WINDOWS)
         body.append((f"`{name}`" if name != "Verlet" else name, *cells, gain))
     return table(("TIP3P", *(f"{ps} ps" for ps in WINDOWS), "times less than Verlet over 30 ps"), body)
+
+
+def energy_drifts() -> str:
+    """Return the energy errors of W4_4 by the interval and the forces, within windows of increasing length."""
+    found, body, windows = rows("energy_drift"), [], energy_drift.WINDOWS
+    for point in distinct(found, *energy_drift.RUN[:-1]):
+        some = [row for row in found if tuple(row[name] for name in energy_drift.RUN[:-1]) == point]
+        of, number = some[0], len(some)
+        precision = "double" if of["platform"] == "Reference" else "single"
+        tolerances = " and ".join(f"{float(of[name]):.0e}" for name in ("direct", "tolerance"))
+        values = np.array([[float(row[f"std_{window}_ps"]) for window in windows] for row in some])
+        stds = [f"{std:.1e}" if np.isfinite(std) else "" for std in np.sqrt(np.square(values).mean(axis=0))]
+        cells = (f"`{of['method']}`", f"{float(of['fs']):g} fs", precision, tolerances, *stds)
+        cells = (cell.replace("e-0", "e-") for cell in cells)
+        body.append((of["molecules"], *cells, f"{number} x {float(of['picoseconds']):g} ps"))
+    head = ("molecules", "", "interval", "precision", "tolerances of direct sum and mesh")
+    return table((*head, *(f"{window} ps" for window in windows), ""), body)
 
 
 def energy_balances() -> str:
