@@ -52,19 +52,21 @@ def box_energies() -> str:
 
 def energy_drifts() -> str:
     """Return the energy errors of W4_4 by the interval and the forces, within windows of increasing length."""
-    found, body, windows = rows("energy_drift"), [], energy_drift.WINDOWS
-    for point in distinct(found, *energy_drift.RUN[:-1]):
-        some = [row for row in found if tuple(row[name] for name in energy_drift.RUN[:-1]) == point]
-        of, number = some[0], len(some)
+    found, body, run = rows("energy_drift"), [], energy_drift.RUN[:-1]
+    windows = [window for window in energy_drift.WINDOWS if any(row[f"std_{window}_ps"] != "nan" for row in found)]
+    for point in distinct(found, *run):
+        some = [row for row in found if tuple(row[name] for name in run) == point]
+        of = some[0]
         precision = "double" if of["platform"] == "Reference" else "single"
-        tolerances = " and ".join(f"{float(of[name]):.0e}" for name in ("direct", "tolerance"))
+        tolerances = (f"{float(of[name]):.0e}" for name in ("direct", "tolerance"))
         values = np.array([[float(row[f"std_{window}_ps"]) for window in windows] for row in some])
-        stds = [f"{std:.1e}" if np.isfinite(std) else "" for std in np.sqrt(np.square(values).mean(axis=0))]
-        cells = (f"`{of['method']}`", f"{float(of['fs']):g} fs", precision, tolerances, *stds)
-        cells = (cell.replace("e-0", "e-") for cell in cells)
-        body.append((of["molecules"], *cells, f"{number} x {float(of['picoseconds']):g} ps"))
-    head = ("molecules", "", "interval", "precision", "tolerances of direct sum and mesh")
-    return table((*head, *(f"{window} ps" for window in windows), ""), body)
+        stds = (f"{std:.1e}" if np.isfinite(std) else "" for std in np.sqrt(np.square(values).mean(axis=0)))
+        slopes = ", ".join(f"{float(row['drift_a_ns']):.1e}" for row in some)
+        length = f"{len(some)} x {float(of['picoseconds']):g} ps"
+        cells = (f"{float(of['fs']):g} fs", precision, *tolerances, length, *stds, slopes)
+        body.append([cell.replace("e-0", "e-") for cell in cells])
+    head = ("interval", "precision", "tolerance of direct sum", "of mesh", "", *(f"{window} ps" for window in windows))
+    return table((*head, "slope per ns"), body)
 
 
 def energy_balances() -> str:
