@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import openmm
@@ -64,18 +65,17 @@ def find_bodies(
     whole = whole_positions(system, positions, masses, given, box, held)
     shapes: list[Kind] = []
     flexible: list[ClusterKind] = []
-    for particles, distances in _clusters(held, masses, given):
+    for group in _groups(held, masses, given):
+        particles, held_by, lengths = group
         body_masses = masses[particles[0]]
-        pair = pairs and len(distances) == 2 and not np.isnan(distances).any()
-        if pair or not held_rigid(distances, whole[particles[0]]):
-            flexible.append(_flexible(particles, body_masses, distances, whole))
-            continue
-        if not np.isnan(distances).any():
-            shapes += kinds_from_distances(particles, body_masses, distances, whole)
+        pair = pairs and particles.shape[1] == 2 and len(held_by) == 1
+        if pair or not (group.named or held_rigid(held_by, whole[particles[0]])):
+            flexible.append(_flexible(group, body_masses, whole))
+        elif group.complete:
+            shapes += kinds_from_distances(particles, body_masses, group.distances, whole)
         else:
-            shapes += kinds_from_positions(
-                particles, body_masses, on_constraints(particles, body_masses, distances, whole)
-            )
+            x = whole if group.named else on_constraints(particles, body_masses, held_by, lengths, whole)
+            shapes += kinds_from_positions(particles, body_masses, x)
     clusters = sorted_into_kinds(flexible)
     turning, single = ([shape for shape in shapes if shape.turns is turns] for turns in (True, False))
     kinds, start = [], 0
@@ -90,29 +90,56 @@ def find_bodies(
     return RigidBodies(kinds, len(masses), clusters)
 
 
-def _flexible(particles: Indices, masses: Array, distances: Array, positions: Array) -> ClusterKind:
-    """Return clusters with given constrained distances (n, n); unconstrained distances are nan.
+class _Group(NamedTuple):
+    """Connected particles (N, n) of N molecules with the same masses and constraints.
+
+    Constraints are given by their members (m, 2), as indices of the n particles, and by their lengths (m,). Bodies that
+    the user named have none.
+    """
+
+    particles: Indices
+    pairs: Indices
+    lengths: Array
+
+    @property
+    def named(self) -> bool:
+        return not len(self.pairs) and self.particles.shape[1] > 1
+
+    @property
+    def complete(self) -> bool:
+        """Whether all distances are constrained."""
+        n = self.particles.shape[1]
+        return len(self.pairs) == n * (n - 1) // 2
+
+    @property
+    def distances(self) -> Array:
+        """The distances (n, n) of a group in which all of them are constrained."""
+        distances = np.zeros(2 * self.particles.shape[1:])
+        distances[tuple(self.pairs.T)] = distances[tuple(self.pairs[:, ::-1].T)] = self.lengths
+        return distances
+
+
+def _flexible(group: _Group, masses: Array, positions: Array) -> ClusterKind:
+    """Return clusters with the constraints of a group.
 
     Redundant constraints are stored as `ClusterKind.implied`. If there are any, all lengths are those of the best fit
     to all constraints.
     """
-    pairs = np.argwhere(np.triu(~np.isnan(distances), 1))
-    kind = ClusterKind(particles, masses, pairs, distances[pairs[:, 0], pairs[:, 1]])
+    particles, pairs, lengths = group
+    kind = ClusterKind(particles, masses, pairs, lengths)
     kept = kind.independent()
     if kept.all():
         return kind
-    without = distances.copy()
-    without[tuple(pairs[~kept].T)] = without[tuple(pairs[~kept, ::-1].T)] = np.nan
-    x = on_constraints(particles, masses, without, positions)[particles]
+    x = on_constraints(particles, masses, pairs[kept], lengths[kept], positions)[particles]
     missed = kind.missed(x).max(axis=0)
-    if missed.max() > RESIDUAL * kind.lengths.max():
+    if missed.max() > RESIDUAL * lengths.max():
         worst = int(np.argmax(missed))
         i, j = particles[0, pairs[worst]]
         raise ValueError(
-            f"the constraint of {kind.lengths[worst]:g} nm between particles {i} and {j} contradicts the other "
+            f"the constraint of {lengths[worst]:g} nm between particles {i} and {j} contradicts the other "
             f"constraints of {kind.name(0)} by {missed[worst]:.2g} nm: correct or remove this constraint"
         )
-    x = on_constraints(particles[:1], masses, distances, positions)[particles[:1]]
+    x = on_constraints(particles[:1], masses, pairs, lengths, positions)[particles[:1]]
     lengths = np.linalg.norm(x[0, pairs[:, 0]] - x[0, pairs[:, 1]], axis=1)
     return ClusterKind(particles, masses, pairs[kept], lengths[kept], pairs[~kept], lengths[~kept])
 
@@ -160,12 +187,12 @@ def _named_bodies(system: openmm.System, masses: Array, bodies: Sequence[Sequenc
     return named
 
 
-def _clusters(held: Rows, masses: Array, given: list[Indices]) -> Iterable[tuple[Indices, Array]]:
-    """Return, for each kind of body, the particles (N, n) and the distances (n, n), nan if unconstrained."""
+def _groups(held: Rows, masses: Array, given: list[Indices]) -> list[_Group]:
+    """Return the groups of connected particles with mass, in the order of their first particles."""
     from scipy.sparse import coo_array  # imported here, because it is slow to import
     from scipy.sparse.csgraph import connected_components
 
-    n, (pairs, _), owner = len(masses), held, checks.owners(given, len(masses))
+    n, (pairs, lengths), owner = len(masses), held, checks.owners(given, len(masses))
     leading_out = owner[pairs[:, 0]] != owner[pairs[:, 1]]
     if leading_out.any():
         p, q = pairs[np.argmax(leading_out)]
@@ -177,40 +204,46 @@ def _clusters(held: Rows, masses: Array, given: list[Indices]) -> Iterable[tuple
     rows, columns = np.concatenate(links).T
     graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(n, n))
     label = connected_components(graph, directed=False)[1].astype(np.intp)
-    found = [group for some in _of_one_size(held, label, owner) for group in _alike(masses, *some)]
-    return [(particles, distances) for _, particles, distances in sorted(found, key=lambda group: group[0])]
+    free = owner[pairs[:, 0]] < 0
+    found = [group for some in _of_one_size((pairs[free], lengths[free]), label) for group in _alike(masses, *some)]
+    return sorted(found, key=lambda group: int(group.particles[0, 0]))
 
 
-def _of_one_size(held: Rows, label: Indices, owner: Indices) -> Iterable[tuple[Indices, Array]]:
-    """Yield, for each size n, the particles (N, n) of clusters with equal labels and their distances (N, n, n)."""
-    pairs, lengths = held
+def _of_one_size(held: Rows, label: Indices) -> Iterable[tuple[Indices, Indices, Array]]:
+    """Yield clusters of equally many particles and constraints: particles (N, n), members (N, m, 2), lengths (N, m).
+
+    A cluster consists of the particles with one label.
+    """
     order = np.argsort(label, kind="stable")
     bounds = np.flatnonzero(np.diff(label[order], prepend=-1, append=len(label)))
-    sizes, number = np.diff(bounds), label[pairs[:, 0]]
     place = np.empty(len(label), dtype=np.intp)
-    place[order] = np.arange(len(label)) - np.repeat(bounds[:-1], sizes)
-    row = np.empty(len(sizes), dtype=np.intp)
-    for size in np.unique(sizes):
-        which = np.flatnonzero(sizes == size)
-        row[which] = np.arange(len(which))
-        particles = order[bounds[which][:, None] + np.arange(size)]
-        distances = np.full((len(which), size, size), np.nan)
-        own = sizes[number] == size
-        (i, j), r = place[pairs[own]].T, row[number[own]]
-        distances[r, i, j] = distances[r, j, i] = lengths[own]
-        distances[owner[particles[:, 0]] >= 0] = np.nan
-        distances[:, np.arange(size), np.arange(size)] = 0.0
-        yield particles, distances
+    place[order] = np.arange(len(label)) - np.repeat(bounds[:-1], np.diff(bounds))
+    members, lengths, owner = _sorted_once(place[held[0]], held[1], label[held[0][:, 0]])
+    first = np.searchsorted(owner, np.arange(len(bounds)))
+    sizes = np.column_stack([np.diff(bounds), np.diff(first)])
+    for n, m in np.unique(sizes, axis=0):
+        which = np.flatnonzero((sizes == (n, m)).all(axis=1))
+        own = first[which][:, None] + np.arange(m)
+        yield order[bounds[which][:, None] + np.arange(n)], members[own], lengths[own]
 
 
-def _alike(masses: Array, particles: Indices, distances: Array) -> Iterable[tuple[int, Indices, Array]]:
-    """Yield clusters grouped by masses and distances: first particle, particles (N, n), distances (n, n)."""
+def _sorted_once(members: Indices, lengths: Array, owner: Indices) -> tuple[Indices, Array, Indices]:
+    """Return constraints sorted by their clusters and members, each pair once, with the length that was added last."""
+    members = np.sort(members, axis=1)
+    order = np.lexsort((members[:, 1], members[:, 0], owner))
+    members, lengths, owner = members[order], lengths[order], owner[order]
+    last = np.append((np.diff(owner) != 0) | np.diff(members, axis=0).any(axis=1), True)[: len(owner)]
+    return members[last], lengths[last], owner[last]
+
+
+def _alike(masses: Array, particles: Indices, members: Indices, lengths: Array) -> Iterable[_Group]:
+    """Yield clusters grouped by masses and constraints."""
     massive = masses[particles].any(axis=1)  # massless particles are frozen, or virtual sites
-    particles, distances = particles[massive], distances[massive]
+    particles, members, lengths = particles[massive], members[massive], lengths[massive]
     if not len(particles):
         return
-    rows = np.concatenate([masses[particles], distances.reshape(len(particles), -1)], axis=1)
+    rows = np.concatenate([masses[particles], members.reshape(len(particles), -1), lengths], axis=1)
     group = arrays.alike(rows)[1]
     order = np.argsort(group, kind="stable")
-    for members in np.split(order, np.cumsum(np.bincount(group))[:-1]):
-        yield int(particles[members[0], 0]), particles[members], distances[members[0]]
+    for same in np.split(order, np.cumsum(np.bincount(group))[:-1]):
+        yield _Group(particles[same], members[same[0]], lengths[same[0]])

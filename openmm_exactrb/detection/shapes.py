@@ -41,23 +41,16 @@ def kinds_from_distances(particles: Indices, masses: Array, distances: Array, po
     ]
 
 
-def on_constraints(particles: Indices, masses: Array, distances: Array, positions: Array) -> Array:
-    """Project positions (n_particles, 3) onto the constraints, to the closest point in the mass metric.
+def on_constraints(particles: Indices, masses: Array, pairs: Indices, lengths: Array, positions: Array) -> Array:
+    """Project positions (n_particles, 3) onto constraints, to the closest point in the mass metric.
 
-    Newton's method starts from the given positions. Bodies without constraints are unchanged. Constraints that are
-    redundant up to rounding errors are satisfied in the least-squares sense. A ValueError is raised if positions are
-    not finite or Newton's method does not converge.
+    The constraints of each body of the array `particles` (N, n) have members `pairs` (m, 2), as indices of its n
+    particles, and `lengths` (m,). Newton's method starts from the given positions. Constraints that are redundant up to
+    rounding errors are satisfied in the least-squares sense. A ValueError is raised if positions are not finite or
+    Newton's method does not converge.
     """
-    X = positions[particles]
-    lost = ~np.isfinite(X).all(axis=2)
-    if lost.any():
-        raise ValueError(
-            f"the position of particle {particles[lost][0]} is not finite: set finite positions before the first step"
-        )
-    first, second = np.nonzero(np.triu(~np.isnan(distances), 1))
-    if not len(first):  # without constraints, the positions define the shape
-        return positions
-    number, lengths = np.arange(len(first)), distances[first, second]
+    X = _finite(particles, positions)
+    (first, second), number = pairs.T, np.arange(len(pairs))
     gradients = np.zeros((len(X), len(first), len(masses), 3))
     for _ in range(_NEWTON):
         apart = X[:, first] - X[:, second]
@@ -87,24 +80,38 @@ def kinds_from_positions(particles: Indices, masses: Array, positions: Array) ->
     If all bodies agree with the first within `RIGIDITY`, they share its shape. Otherwise each body has a separate
     shape.
     """
-    X = positions[particles]
-    kind = _with_shape_of(particles[:1], masses, X[:1], positions)
+    X = _finite(particles, positions)
+    kind = _with_shape_of(particles[:1], masses, X[0])
     relative = X - np.einsum("s,nsi->ni", masses / kind.mass, X)[:, None]
     attitudes = matrix(best_attitudes(kind.weights, kind.sites, relative)).transpose(2, 0, 1)
     residual = np.sqrt(((relative - turned(attitudes, kind.sites)) ** 2).sum(axis=2).max(axis=1))
     if residual[1:].max(initial=0.0) <= RIGIDITY:
         return [replace(kind, particles=particles)]
-    each = [_with_shape_of(row[None], masses, x[None], positions) for row, x in zip(particles, X, strict=True)]
+    each = [_with_shape_of(row[None], masses, x) for row, x in zip(particles, X, strict=True)]
     sorts = (True, False), (True, True), (False, False)
     together = [[one for one in each if (one.turns, one.linear) == sort] for sort in sorts]
     return [_joined(some) for some in together if some]
 
 
-def _with_shape_of(particles: Indices, masses: Array, X: Array, positions: Array) -> Kind:
-    """Return the kind of one body (1, k) with the shape of its positions."""
-    apart = np.linalg.norm(X[0][:, None] - X[0][None], axis=2)
-    (kind,) = kinds_from_distances(particles, masses, apart, positions)
-    return kind
+def _finite(particles: Indices, positions: Array) -> Array:
+    """Return the positions (N, k, 3) of particles (N, k); raise ValueError if a position is not finite."""
+    X = positions[particles]
+    lost = ~np.isfinite(X).all(axis=2)
+    if lost.any():
+        raise ValueError(
+            f"the position of particle {particles[lost][0]} is not finite: set finite positions before the first step"
+        )
+    return X
+
+
+def _with_shape_of(particles: Indices, masses: Array, X: Array) -> Kind:
+    """Return the kind of one body (1, k) at positions X (k, 3)."""
+    if np.linalg.norm(X - X[0], axis=1).max() <= _POINT:
+        return _point(particles, masses)
+    centred = X - X.mean(axis=0)
+    extent, directions = np.linalg.eigh(centred.T @ centred)
+    directions[:, 0] *= np.linalg.det(directions)  # a rotation, which keeps the handedness of the body
+    return _in_principal_axes(particles, masses, centred @ directions[:, extent > _FLAT * extent[-1]])
 
 
 def _joined(kinds: list[Kind]) -> Kind:
@@ -115,16 +122,12 @@ def _joined(kinds: list[Kind]) -> Kind:
     return replace(kinds[0], particles=particles, sites=sites, inertia=inertia)
 
 
-def held_rigid(distances: Array, x: Array) -> bool:
-    """Return whether constraints restrict a cluster at positions x (k, 3) to the motions of a rigid body.
-
-    Unconstrained entries of `distances` (k, k) are nan. A body passed as `bodies` has only such entries off the
-    diagonal, and counts as rigid.
-    """
-    i, j = np.nonzero(np.triu(~np.isnan(distances), 1))
+def held_rigid(pairs: Indices, x: Array) -> bool:
+    """Return whether constraints of `pairs` (m, 2) restrict particles at positions x (k, 3) to rigid motions."""
+    i, j = pairs.T
     every = len(i) == len(x) * (len(x) - 1) // 2
-    if not len(i) or every or not np.isfinite(x).all():
-        return not len(i) or every
+    if every or not np.isfinite(x).all():
+        return every
     U, extents, axes = np.linalg.svd(x - x.mean(axis=0))
     dimensions = int((extents > np.sqrt(_FLAT) * extents[0]).sum())
     freedom = dimensions * len(x) - dimensions * (dimensions + 1) // 2
@@ -135,10 +138,10 @@ def held_rigid(distances: Array, x: Array) -> bool:
     direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), np.finfo(float).tiny)
     rows[np.arange(len(i)), i], rows[np.arange(len(i)), j] = direction, -direction
     rank: int = np.linalg.matrix_rank(rows.reshape(len(i), -1), tol=1e-6)
-    return bool(rank >= freedom) and (dimensions == 3 or _kept_flat(distances, U[:, :dimensions]))
+    return bool(rank >= freedom) and (dimensions == 3 or _kept_flat(pairs, U[:, :dimensions]))
 
 
-def _kept_flat(distances: Array, places: Array) -> bool:
+def _kept_flat(pairs: Indices, places: Array) -> bool:
     """Return whether constraints keep a flat or straight body with given coordinates (k, 1 or 2) in that shape.
 
     Constraints keep the body flat if they can carry a stress that is in equilibrium at each particle and resists all
@@ -151,7 +154,9 @@ def _kept_flat(distances: Array, places: Array) -> bool:
         return False
     affine = np.linalg.qr(np.column_stack([np.ones(k), places]), mode="complete")[0]
     out = affine[:, 1 + places.shape[1] :]
-    i, j = np.nonzero(np.triu(np.isnan(distances), 1))
+    free = ~np.eye(k, dtype=bool)
+    free[tuple(pairs.T)] = False
+    i, j = np.nonzero(np.triu(free))
     entries = np.einsum("ca,cb->cab", out[i], out[j])
     entries = 0.5 * (entries + entries.transpose(0, 2, 1)).reshape(len(i), -1)
     identity = np.eye(out.shape[1]).ravel()
@@ -162,43 +167,44 @@ def _kept_flat(distances: Array, places: Array) -> bool:
 
 def _kind(particles: Indices, masses: Array, distances: Array) -> Kind:
     """Return the kind of bodies with given distances (k, k), with their particles placed in the principal axes."""
-    mass, k = float(masses.sum()), len(masses)
     if distances.max() <= _POINT:
-        return Kind(particles, slice(0), masses, np.zeros((1, k, 3)), mass, np.zeros((1, 3)))
-    # Classical scaling about the centre of mass: the eigenvalues of the weighted Gram matrix are the second moments,
-    # and its eigenvectors give the positions.
-    root = np.sqrt(masses)
-    spread, axes = _scaled(distances, masses / mass, root)
-    sites = axes * np.sqrt(spread) / root[:, None]
-    if not spread.all():  # the body or its mass distribution is flat: find positions, then axes
-        extent, directions = _scaled(distances, np.full(k, 1.0 / k), np.ones(k))
-        if np.count_nonzero(extent) > np.count_nonzero(spread):
-            places = directions * np.sqrt(extent)
-            places -= masses @ places / mass
-            sites = places @ np.linalg.eigh((masses * places.T) @ places)[1][:, ::-1]
-            spread = masses @ sites**2
-    residual = np.abs(np.linalg.norm(sites[:, None] - sites[None, :], axis=2) - distances).max()
+        return _point(particles, masses)
+    kind = _in_principal_axes(particles, masses, _scaled(distances))
+    residual = np.abs(np.linalg.norm(kind.sites[0, :, None] - kind.sites[0], axis=2) - distances).max()
     if residual > RESIDUAL * distances.max():
         raise ValueError(
             f"the constraints between particles {listed(particles[0])} cannot be satisfied in three dimensions "
             f"(the fitted positions violate them by up to {residual:.2g} nm): correct the lengths of "
             "these constraints"
         )
+    return kind
+
+
+def _scaled(distances: Array) -> Array:
+    """Return positions (k, 1 to 3) with given distances (k, k), which are those of a body, flat body or linear body.
+
+    Classical scaling: the eigenvectors of the Gram matrix of the positions about their mean are the positions.
+    """
+    square = distances**2
+    to_centre = square.mean(axis=1)
+    gram = 0.5 * (to_centre[:, None] + to_centre - to_centre.mean() - square)
+    extent, vectors = (a[..., -3:] for a in np.linalg.eigh(gram))
+    large = extent > _FLAT * extent[-1]
+    return np.asarray(vectors[:, large] * np.sqrt(extent[large]))
+
+
+def _in_principal_axes(particles: Indices, masses: Array, places: Array) -> Kind:
+    """Return the kind of bodies whose particles have given coordinates (k, 1 to 3) in any axes."""
+    mass, sites = float(masses.sum()), np.zeros((len(masses), 3))
+    places = places - masses @ places / mass
+    axes = np.linalg.eigh((masses * places.T) @ places)[1][:, ::-1]
+    axes[:, -1] *= np.linalg.det(axes)  # a rotation, which keeps the handedness of the places
+    sites[:, : len(axes)] = places @ axes
+    spread = masses @ sites**2
     # The largest spread comes first, so that the moments of inertia ascend and a linear body lies along axis 1.
     return Kind(particles, slice(0), masses, sites[None], mass, (spread.sum() - spread)[None])
 
 
-def _scaled(distances: Array, weights: Array, root: Array) -> tuple[Array, Array]:
-    """Return the three largest eigenvalues (3,), 0 if small, and eigenvectors (k, 3) of the Gram matrix of positions.
-
-    The positions have the given distances and a weighted mean of 0, and are scaled by the square roots of the weights.
-    """
-    square = distances**2
-    to_centre = square @ weights
-    gram = 0.5 * (to_centre[:, None] + to_centre[None, :] - weights @ to_centre - square)
-    moments, vectors = np.linalg.eigh(root[:, None] * gram * root)
-    spread, axes, found = np.zeros(3), np.zeros((len(root), 3)), min(3, len(root))
-    spread[:found] = np.maximum(moments[::-1][:found], 0.0)
-    axes[:, :found] = vectors[:, ::-1][:, :found]
-    spread[spread < _FLAT * spread[0]] = 0.0
-    return spread, axes
+def _point(particles: Indices, masses: Array) -> Kind:
+    """Return the kind of single particles, or of particles that coincide."""
+    return Kind(particles, slice(0), masses, np.zeros((1, len(masses), 3)), float(masses.sum()), np.zeros((1, 3)))
