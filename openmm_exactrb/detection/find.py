@@ -55,11 +55,13 @@ def find_bodies(
     Raises
     ------
     ValueError
-        If nothing can move, redundant constraints contradict each other, a constraint joins a named body to another
-        particle, a named body is invalid, or the System has Drude particles.
+        If nothing can move, the position of a particle with mass is not finite, redundant constraints contradict each
+        other, a constraint joins a named body to another particle, a named body is invalid, or the System has Drude
+        particles.
     """
     masses = parameters.masses(system)
     _check_drude_particles(system)
+    _check_finite(positions, masses)
     given = _named_bodies(system, masses, bodies or [])
     held = parameters.constraints(system)
     whole = whole_positions(system, positions, masses, given, box, held)
@@ -109,7 +111,7 @@ class _Group(NamedTuple):
     def complete(self) -> bool:
         """Whether all distances are constrained."""
         n = self.particles.shape[1]
-        return len(self.pairs) == n * (n - 1) // 2
+        return bool(len(self.pairs) == n * (n - 1) // 2)
 
     @property
     def distances(self) -> Array:
@@ -159,6 +161,14 @@ def _check_drude_particles(system: openmm.System) -> None:
                 f"the System contains Drude particles ({names}), which need one of OpenMM's Drude integrators: "
                 "use a force field without Drude particles"
             )
+
+
+def _check_finite(positions: Array, masses: Array) -> None:
+    lost = np.flatnonzero((masses > 0.0) & ~np.isfinite(positions).all(axis=1))
+    if len(lost):
+        raise ValueError(
+            f"the position of particle {lost[0]} is not finite: set finite positions before the first step"
+        )
 
 
 def _named_bodies(system: openmm.System, masses: Array, bodies: Sequence[Sequence[int]]) -> list[Indices]:

@@ -46,10 +46,10 @@ def on_constraints(particles: Indices, masses: Array, pairs: Indices, lengths: A
 
     The constraints of each body of the array `particles` (N, n) have members `pairs` (m, 2), as indices of its n
     particles, and `lengths` (m,). Newton's method starts from the given positions. Constraints that are redundant up to
-    rounding errors are satisfied in the least-squares sense. A ValueError is raised if positions are not finite or
-    Newton's method does not converge.
+    rounding errors are satisfied in the least-squares sense. A ValueError is raised if Newton's method does not
+    converge.
     """
-    X = _finite(particles, positions)
+    X = positions[particles]
     (first, second), number = pairs.T, np.arange(len(pairs))
     gradients = np.zeros((len(X), len(first), len(masses), 3))
     for _ in range(_NEWTON):
@@ -80,7 +80,7 @@ def kinds_from_positions(particles: Indices, masses: Array, positions: Array) ->
     If all bodies agree with the first within `RIGIDITY`, they share its shape. Otherwise each body has a separate
     shape.
     """
-    X = _finite(particles, positions)
+    X = positions[particles]
     kind = _with_shape_of(particles[:1], masses, X[0])
     relative = X - np.einsum("s,nsi->ni", masses / kind.mass, X)[:, None]
     attitudes = matrix(best_attitudes(kind.weights, kind.sites, relative)).transpose(2, 0, 1)
@@ -91,17 +91,6 @@ def kinds_from_positions(particles: Indices, masses: Array, positions: Array) ->
     sorts = (True, False), (True, True), (False, False)
     together = [[one for one in each if (one.turns, one.linear) == sort] for sort in sorts]
     return [_joined(some) for some in together if some]
-
-
-def _finite(particles: Indices, positions: Array) -> Array:
-    """Return the positions (N, k, 3) of particles (N, k); raise ValueError if a position is not finite."""
-    X = positions[particles]
-    lost = ~np.isfinite(X).all(axis=2)
-    if lost.any():
-        raise ValueError(
-            f"the position of particle {particles[lost][0]} is not finite: set finite positions before the first step"
-        )
-    return X
 
 
 def _with_shape_of(particles: Indices, masses: Array, X: Array) -> Kind:
@@ -125,9 +114,8 @@ def _joined(kinds: list[Kind]) -> Kind:
 def held_rigid(pairs: Indices, x: Array) -> bool:
     """Return whether constraints of `pairs` (m, 2) restrict particles at positions x (k, 3) to rigid motions."""
     i, j = pairs.T
-    every = len(i) == len(x) * (len(x) - 1) // 2
-    if every or not np.isfinite(x).all():
-        return every
+    if len(i) == len(x) * (len(x) - 1) // 2:
+        return True
     U, extents, axes = np.linalg.svd(x - x.mean(axis=0))
     dimensions = int((extents > np.sqrt(_FLAT) * extents[0]).sum())
     freedom = dimensions * len(x) - dimensions * (dimensions + 1) // 2

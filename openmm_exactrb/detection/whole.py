@@ -7,22 +7,23 @@ there is evidence that the box has split the body.
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 import openmm
 from numpy.typing import NDArray
 
-from openmm_exactrb.mathematics.quaternions import matrix, turned
-from openmm_exactrb.mechanics.fit import RIGIDITY, ShapeWarning, best_attitudes
+from openmm_exactrb.mechanics.fit import RIGIDITY, ShapeWarning, congruent
 from openmm_exactrb.mechanics.images import (
     Decided,
+    braced,
     decided,
     half_width,
     image_gaps,
     joined,
     lattice,
-    spanning_pairs,
 )
-from openmm_exactrb.mechanics.links import Links, shortest_tree
+from openmm_exactrb.mechanics.links import Links
 from openmm_exactrb.openmm_access import parameters
 from openmm_exactrb.openmm_access.parameters import Rows
 from openmm_exactrb.support import checks
@@ -163,6 +164,45 @@ def _loose_whole(x: Array, masses: Array, bodies: list[Indices], numbers: list[i
     return y
 
 
+class _Gaps:
+    """Gaps between the particles of bodies (n, k, 3), as given and across a box, and the bodies at nearest images."""
+
+    def __init__(self, X: Array, box: Array) -> None:
+        self._X, self._box = X, box
+        self._wide = np.ptp(X @ np.linalg.inv(box), axis=1).max(axis=1) > 0.5  # other bodies are not split
+
+    @cached_property
+    def given(self) -> Array:
+        """The gaps (n, k - 1) in the minimum spanning trees of the bodies as given."""
+        return image_gaps(self._X, None)[0]
+
+    @cached_property
+    def across(self) -> Array:
+        """The gaps (n, k - 1) in the minimum spanning trees of nearest images."""
+        across = self.given.copy()
+        across[self._wide] = self._joined[0]
+        return across
+
+    @cached_property
+    def near(self) -> Array:
+        """The bodies (n, k, 3), joined along the trees of nearest images."""
+        near = self._X.copy()
+        near[self._wide] += self._joined[1] @ self._box
+        return near
+
+    @cached_property
+    def torn(self) -> NDArray[np.bool_]:
+        """A mask (n,) of the bodies whose longest gap is shorter across the box."""
+        torn = self._wide
+        if torn.any():
+            torn = self.across.max(axis=1) < _SHORTER * self.given.max(axis=1)
+        return np.asarray(torn)
+
+    @cached_property
+    def _joined(self) -> tuple[Array, Array]:
+        return image_gaps(self._X[self._wide], self._box)
+
+
 def _by_common_shape(X: Array, box: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Return bodies (n, k, 3) of equal masses, with split bodies joined, and a mask (n,) of bodies confirmed by others.
 
@@ -171,15 +211,16 @@ def _by_common_shape(X: Array, box: Array) -> tuple[Array, NDArray[np.bool_]]:
     """
     if len(X) == 1 or X.shape[1] == 1:
         return X, np.full(len(X), X.shape[1] == 1)
-    near, torn = _nearest(X, box)
-    confirmed, gaps = np.ones(len(X), dtype=bool), X - X[:, :1]
-    if _congruent(X[0], X).all():
-        return X, ~torn if np.ptp(gaps, axis=0).max() <= RIGIDITY else confirmed
-    if not torn.any() and (image_gaps(X, None)[0] <= _CLEAR * half_width(box)).all():
+    gaps = _Gaps(X, box)
+    confirmed, relative = np.ones(len(X), dtype=bool), X - X[:, :1]
+    if congruent(X[:1], X).all():
+        return X, ~gaps.torn if np.ptp(relative, axis=0).max() <= RIGIDITY else confirmed
+    near, torn = gaps.near, gaps.torn
+    if not torn.any() and (gaps.given <= _CLEAR * half_width(box)).all():
         return X, confirmed
-    apart = (gaps - gaps[0]) @ np.linalg.inv(box)
+    apart = (relative - relative[0]) @ np.linalg.inv(box)
     if np.abs(apart - np.round(apart)).max() <= RIGIDITY / half_width(box):  # all have the same orientation
-        longest = _steps(near[0]).max()
+        longest = gaps.across[0].max()
         if longest > _CLEAR * half_width(box):
             raise ValueError(
                 f"the shapes of bodies of {len(near[0])} particles with the same masses differ by widths of the "
@@ -187,23 +228,15 @@ def _by_common_shape(X: Array, box: Array) -> tuple[Array, NDArray[np.bool_]]:
                 "whole: " + _REMEDY
             )
         return _joined_to(near[0], X, box), confirmed
+    if congruent(near[:1], near).all():
+        return near, confirmed
     common = _common_images(X, box)
     joint = _joined_to(common, X, box)
-    if _congruent(common, joint).all():
+    if congruent(common[None], joint).all():
         return joint, confirmed
-    whole = X[np.argmin(torn)]
-    fits = torn & ~torn.all() & ~_congruent(whole, X, _ROUNDED) & _congruent(whole, near, _ROUNDED)
-    return np.where(fits[:, None, None], near, X), fits | ~torn & _congruent(whole, X, _ROUNDED)
-
-
-def _nearest(X: Array, box: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return bodies (n, k, 3) joined by nearest images, and a mask (n,) of the bodies whose gaps become shorter."""
-    near, torn = X.copy(), np.ptp(X @ np.linalg.inv(box), axis=1).max(axis=1) > 0.5  # narrow bodies are not split
-    if torn.any():
-        (given, _), (across, shifts) = image_gaps(X[torn], None), image_gaps(X[torn], box)
-        near[torn] += shifts @ box
-        torn[torn] = across < _SHORTER * given
-    return near, np.asarray(torn)
+    whole = X[None, np.argmin(torn)]
+    fits = torn & ~torn.all() & ~congruent(whole, X, _ROUNDED) & congruent(whole, near, _ROUNDED)
+    return np.where(fits[:, None, None], near, X), fits | ~torn & congruent(whole, X, _ROUNDED)
 
 
 def _common_images(X: Array, box: Array) -> Array:
@@ -222,7 +255,7 @@ def _common_images(X: Array, box: Array) -> Array:
 def _joined_to(shape: Array, X: Array, box: Array) -> Array:
     """Return bodies (n, k, 3) at the images that match a shape (k, 3); unchanged if several images match."""
     n, k, _ = X.shape
-    within = spanning_pairs(shape[None], braced=True)
+    (within,) = braced(shape[None])
     lengths = np.linalg.norm(shape[within[:, 0]] - shape[within[:, 1]], axis=1)
     pairs = (np.arange(n)[:, None, None] * k + within).reshape(-1, 2)
     try:
@@ -232,25 +265,13 @@ def _joined_to(shape: Array, X: Array, box: Array) -> Array:
     return np.asarray(y.reshape(X.shape))
 
 
-def _congruent(shape: Array, X: Array, within: float = RIGIDITY) -> NDArray[np.bool_]:
-    """Return a mask (n,) of bodies (n, k, 3) that match a shape (k, 3) or its mirror image within a distance (nm)."""
-    sites, relative = (a - a.mean(axis=-2, keepdims=True) for a in (shape[None], X))
-    found = np.zeros(len(X), dtype=bool)
-    for hand in (sites, -sites):
-        attitudes = matrix(best_attitudes(np.ones(len(shape)), hand, relative)).transpose(2, 0, 1)
-        missed = relative - turned(np.ascontiguousarray(attitudes), hand)
-        found |= np.sqrt((missed**2).sum(axis=2).max(axis=1)) <= within
-    return found
-
-
 def _say(number: int, X: Array, box: Array, split: bool) -> None:
     """Raise ValueError or warn if the periodic box may have split a body (k, 3)."""
-    (near,), (torn,) = _nearest(X[None], box)
-    clear, in_cell = _CLEAR * half_width(box), _in_cell(X, box)
+    gaps = _Gaps(X[None], box)
+    torn, clear, in_cell = bool(gaps.torn[0]), _CLEAR * half_width(box), _in_cell(X, box)
     if not torn and not (split and in_cell and np.linalg.norm(np.ptp(X, axis=0)) > clear):
         return
-    steps, across = _steps(X), _steps(near).max(initial=0.0)
-    given = steps.max(initial=0.0)
+    (steps,), given, across = gaps.given, gaps.given.max(initial=0.0), gaps.across.max(initial=0.0)
     if split and (torn or across > clear):
         raise ValueError(
             f"the periodic box has split molecules, and the shape of body {number} is ambiguous, because the gap of "
@@ -271,8 +292,3 @@ def _in_cell(X: Array, box: Array) -> bool:
     """Return whether particles (k, 3) are individually wrapped into a cell with its corner or its centre at 0."""
     place = X @ np.linalg.inv(box)
     return any(((place > low - 1e-3) & (place < low + 1.0 + 1e-3)).all() for low in (0.0, -0.5))
-
-
-def _steps(X: Array) -> Array:
-    """Return the lengths (k - 1,) of the links of a minimum spanning tree of the particles of a body (k, 3)."""
-    return np.asarray(np.linalg.norm(np.diff(X[shortest_tree(X[None])], axis=1)[:, 0], axis=1))

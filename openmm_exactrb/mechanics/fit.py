@@ -101,6 +101,20 @@ def best_attitudes(masses: Array, sites: Array, relative: Array) -> Array:
     return from_matrix((U @ Vt).transpose(1, 2, 0))
 
 
+def congruent(shapes: Array, X: Array, within: float = RIGIDITY) -> NDArray[np.bool_]:
+    """Return a mask (n,) of bodies (n, k, 3) that match a shape or its mirror image within a distance (nm).
+
+    The shapes are (n, k, 3), or (1, k, 3) if all bodies have the same.
+    """
+    sites, relative = (a - a.mean(axis=-2, keepdims=True) for a in (shapes, X))
+    found = np.zeros(len(X), dtype=bool)
+    for hand in (sites, -sites):
+        attitudes = matrix(best_attitudes(np.ones(X.shape[1]), hand, relative)).transpose(2, 0, 1)
+        missed = relative - turned(np.ascontiguousarray(attitudes), hand)
+        found |= np.sqrt((missed**2).sum(axis=2).max(axis=1)) <= within
+    return found
+
+
 def _chosen(kind: Kind, bodies: Indices) -> tuple[Indices, Indices, Array]:
     """Return the selected bodies of a kind, their particles and their sites."""
     of_kind = bodies[(bodies >= kind.bodies.start) & (bodies < kind.bodies.stop)]

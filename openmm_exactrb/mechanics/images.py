@@ -7,6 +7,7 @@ gives the link its length. Particles are then joined along a tree of links.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,7 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from openmm_exactrb.mechanics.bodies import RigidBodies
-from openmm_exactrb.mechanics.links import Links, shortest_tree
+from openmm_exactrb.mechanics.fit import congruent
+from openmm_exactrb.mechanics.links import Links
+from openmm_exactrb.mechanics.shortest_links import shortest_links
 from openmm_exactrb.mechanics.state import BodyState
 from openmm_exactrb.support.messages import listed
 from openmm_exactrb.support.types import Array, Indices
@@ -26,6 +29,8 @@ _NEAR, _EQUAL = 0.02, 1e-4
 _CLOSER = 0.5
 # A bond is considered split if the distance of its atoms exceeds this multiple of its length.
 _STRETCHED = 1.5
+# Number of links whose images are tried together, which limits the memory that they need.
+_TOGETHER = 5000
 # The largest number of combinations of images that are tried where the links of a group are undecided.
 _MOST_WAYS = 4096
 
@@ -49,13 +54,11 @@ def decided(x: Array, links: Links, box: Array) -> Decided:
     found.shifts[far] = -np.round(gap[far] @ inverse)
     nearest = np.linalg.norm(gap[far] + found.shifts[far] @ box, axis=1)
     hard = far[~(short[far] & (nearest < half))]  # other links have only one image shorter than half the box
-    if len(hard):
-        offered = lattice(2 + int(wanted[hard].max() / (2.0 * half)))
-        for link in hard:
-            shifts = found.shifts[link] + offered
-            missed = np.abs(np.linalg.norm(gap[link] + shifts @ box, axis=1) - wanted[link])
-            found.shifts[link] = shifts[np.argmin(missed)]
-            found.undecided[link] = (missed < _NEAR).sum() > 1
+    for some in np.array_split(hard, 1 + len(hard) // _TOGETHER) if len(hard) else ():
+        shifts = found.shifts[some, None] + lattice(2 + int(wanted[hard].max() / (2.0 * half)))
+        missed = np.abs(np.linalg.norm(gap[some, None] + shifts @ box, axis=2) - wanted[some, None])
+        found.shifts[some] = shifts[np.arange(len(some)), missed.argmin(axis=1)]
+        found.undecided[some] = (missed < _NEAR).sum(axis=1) > 1
     best = np.linalg.norm(gap[far] + found.shifts[far] @ box, axis=1)
     missed, missed_by_given = (np.abs(length - wanted[far]) for length in (best, given[far]))
     closer = missed < _CLOSER * missed_by_given
@@ -134,26 +137,43 @@ class Shapes:
 
     def whole(self, x: Array, box: Array) -> Array:
         """Return positions (n_particles, 3) with each body and cluster in one image, or x itself if unchanged."""
-        long = self._short.lengths.max(initial=0.0) >= half_width(box) - _NEAR
-        return joined(x, self._braced if long else self._short, box)
+        short = half_width(box) - _NEAR
+        if self._stars.lengths.max(initial=0.0) < short:
+            return joined(x, self._stars, box)
+        if self._kept(x):
+            return x
+        return joined(x, self._trees if self._trees.lengths.max(initial=0.0) < short else self._braced, box)
+
+    def _kept(self, x: Array) -> bool:
+        """Return whether all bodies and clusters have their shapes at positions x (n_particles, 3)."""
+        kinds = (kind for kind in self._bodies.kinds if kind.particles.shape[1] > 1)
+        clusters = self._bodies.clusters.kinds
+        return all(congruent(kind.sites, x[kind.particles], _EQUAL).all() for kind in kinds) and all(
+            kind.missed(x[kind.particles]).max() <= _EQUAL for kind in clusters
+        )
 
     @cached_property
-    def _short(self) -> Links:
-        return self._links(braced=False)
+    def _stars(self) -> Links:
+        return self._links(star)
+
+    @cached_property
+    def _trees(self) -> Links:
+        return self._links(shortest_trees)
 
     @cached_property
     def _braced(self) -> Links:
-        """Links that distinguish the images of long bodies, for which the links of a tree do not suffice."""
-        return self._links(braced=True)
+        return self._links(braced)
 
-    def _links(self, braced: bool) -> Links:
+    def _links(self, chosen: Callable[[Array], Indices]) -> Links:
         n, pairs, lengths = self._bodies.n_particles, [np.zeros((0, 2), dtype=np.intp)], [np.zeros(0)]
         for kind in self._bodies.kinds:
             if kind.particles.shape[1] > 1:
-                within = spanning_pairs(kind.sites, braced)
-                apart = np.linalg.norm(kind.sites[:, within[:, 0]] - kind.sites[:, within[:, 1]], axis=2)
-                pairs.append(kind.particles[:, within].reshape(-1, 2))
-                lengths.append(np.broadcast_to(apart, (len(kind.particles), len(within))).ravel())
+                links = chosen(kind.sites)
+                ends = kind.sites[np.arange(len(links))[:, None, None], links]
+                apart = np.linalg.norm(ends[:, :, 0] - ends[:, :, 1], axis=2)
+                every = np.broadcast_to(links, (len(kind.particles), *links.shape[1:]))
+                pairs.append(kind.particles[np.arange(len(every))[:, None, None], every].reshape(-1, 2))
+                lengths.append(np.broadcast_to(apart, every.shape[:2]).ravel())
         for cluster in self._bodies.clusters.kinds:
             within = np.concatenate([cluster.pairs, cluster.implied])
             pairs.append(cluster.particles[:, within].reshape(-1, 2))
@@ -162,40 +182,42 @@ class Shapes:
         return Links(np.concatenate(pairs), np.concatenate(lengths), n)
 
 
-def spanning_pairs(sites: Array, braced: bool) -> Indices:
-    """Return pairs of particles of bodies (n, k, 3): a tree and, if `braced`, pairs with particle 0 or four others."""
-    tree = shortest_tree(sites)
-    if not braced:
-        return tree
+def star(sites: Array) -> Indices:
+    """Return pairs (1, k - 1, 2) of the particle nearest to the mean of the first body (n, k, 3) with all others."""
     number = np.arange(sites.shape[1])
+    centre = int(np.argmin(np.linalg.norm(sites[0] - sites[0].mean(axis=0), axis=1)))
+    return np.column_stack([np.full(len(number), centre), number])[None, number != centre]
+
+
+def shortest_trees(sites: Array) -> Indices:
+    """Return the pairs (n, k - 1, 2) of the minimum spanning trees of bodies (n, k, 3)."""
+    n, k, _ = sites.shape
+    particles, parents, _ = shortest_links(sites)[0].tree
+    return np.asarray(np.column_stack([parents, particles]).reshape(n, k - 1, 2) % k)
+
+
+def braced(sites: Array) -> Indices:
+    """Return the pairs (n, m, 2) of trees of bodies (n, k, 3), and pairs of all particles with particle 0 or 4 others.
+
+    Such pairs distinguish the images of long bodies, for which the pairs of a tree do not suffice.
+    """
+    number, trees = np.arange(sites.shape[1]), shortest_trees(sites)
     away, spanning = np.full(len(number), np.inf), [0]
     for _ in range(4):
         away = np.minimum(away, np.linalg.norm(sites[0] - sites[0, spanning[-1]], axis=1))
         spanning.append(int(np.argmax(away)))
-    braces = [np.column_stack([np.full(len(number), k), number])[number != k] for k in spanning]
-    return np.concatenate([tree, *braces])
+    braces = np.concatenate([np.column_stack([np.full(len(number), k), number])[number != k] for k in spanning])
+    return np.concatenate([trees, np.broadcast_to(braces, (len(trees), *braces.shape))], axis=1)
 
 
 def image_gaps(X: Array, box: Array | None) -> tuple[Array, Array]:
-    """Return the longest gap (n,) in the minimum spanning tree of each body (n, k, 3), and the shifts of its particles.
+    """Return the gaps (n, k - 1) in the minimum spanning tree of each body (n, k, 3), and the shifts of its particles.
 
     With a box, distances are those to the nearest images; the shifts (n, k, 3) are numbers of box vectors.
     """
-    images, offered, longest = np.zeros_like(X), np.zeros_like(X), np.zeros(len(X))
-    missing, distance = np.ones(X.shape[:2], dtype=bool), np.full(X.shape[:2], np.inf)
-    rows, last = np.arange(len(X)), np.zeros(len(X), dtype=np.intp)
-    for _ in range(X.shape[1] - 1):
-        missing[rows, last] = False
-        at = X[rows, last] if box is None else X[rows, last] + images[rows, last] @ box
-        gap = X - at[:, None]
-        shift = np.zeros_like(gap) if box is None else -np.round(gap @ np.linalg.inv(box))
-        length = np.linalg.norm(gap if box is None else gap + shift @ box, axis=2)
-        closer = length < distance
-        distance[closer], offered[closer] = length[closer], shift[closer]
-        last = np.where(missing, distance, np.inf).argmin(axis=1)
-        longest = np.maximum(longest, distance[rows, last])
-        images[rows, last] = offered[rows, last]
-    return longest, images
+    links, shifts = shortest_links(X, box)
+    gaps = links.lengths[links.tree[2]].reshape(len(X), X.shape[1] - 1)
+    return gaps, links.along_tree(shifts).reshape(X.shape)
 
 
 def closest_pair(state: BodyState, box: Array | None = None) -> str:

@@ -21,6 +21,8 @@ class Links:
     def __init__(self, pairs: Indices, lengths: Array, n_particles: int, last: NDArray[np.bool_] | None = None) -> None:
         self._keys, once = np.unique(_keys(pairs[:, 0], pairs[:, 1], n_particles), return_index=True)
         self.pairs, self.lengths, self.n_particles = pairs[once], lengths[once], n_particles
+        #: The indices of these links among the given ones.
+        self.chosen = once
         order = np.lexsort((once, self.lengths, np.zeros(len(once)) if last is None else last[once]))
         self._rank = np.empty(len(once))
         self._rank[order] = np.arange(1.0, len(once) + 1.0)
@@ -28,10 +30,7 @@ class Links:
     @cached_property
     def component(self) -> Indices:
         """The index of the linked group to which each particle belongs (n_particles,)."""
-        from scipy.sparse.csgraph import connected_components  # imported here, because it is slow to import
-
-        label = connected_components(self._graph(self.pairs, self._rank), directed=False)[1]
-        return np.asarray(label[:-1], dtype=np.intp)
+        return connected(self.pairs, self.n_particles)
 
     @cached_property
     def tree(self) -> tuple[Indices, Indices, Indices]:
@@ -70,21 +69,15 @@ class Links:
         return Links(number[self.pairs[own]], self.lengths[own], len(particles))
 
 
+def connected(pairs: Indices, n: int) -> Indices:
+    """Return the index (n,) of the group of particles, connected by pairs (m, 2), to which each particle belongs."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components  # imported here, because it is slow to import
+
+    graph = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(n, n))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.intp)
+
+
 def _keys(one: Indices, other: Indices, n: int) -> Indices:
     """Return a number for each pair, which does not depend on the order of its particles."""
     return np.minimum(one, other) * n + np.maximum(one, other)
-
-
-def shortest_tree(sites: Array) -> Indices:
-    """Return the links (k - 1, 2) of a tree with short links through the particles of bodies (n, k, 3)."""
-    k = sites.shape[1]
-    missing, distance, nearest = np.ones(k, dtype=bool), np.full(k, np.inf), np.zeros(k, dtype=np.intp)
-    links, last = np.empty((k - 1, 2), dtype=np.intp), 0
-    for row in links:
-        missing[last] = False
-        length = np.linalg.norm(sites - sites[:, last, None], axis=2).max(axis=0)
-        closer = length < distance
-        distance[closer], nearest[closer] = length[closer], last
-        last = int(np.where(missing, distance, np.inf).argmin())
-        row[:] = nearest[last], last
-    return links

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
-from openmm_exactrb.mechanics.images import Shapes, half_width, image_gaps, joined
-from openmm_exactrb.mechanics.links import Links, shortest_tree
+from openmm_exactrb.mechanics.images import Shapes, half_width, image_gaps, joined, shortest_trees
+from openmm_exactrb.mechanics.links import Links
 
 CUBE = np.eye(3)
 SLANTED = np.array([[1.0, 0.0, 0.0], [0.2, 1.0, 0.0], [-0.1, 0.3, 1.0]])
@@ -104,7 +104,7 @@ def test_the_tree_through_a_body_has_the_least_total_length(seed, count):
     from scipy.sparse.csgraph import minimum_spanning_tree
 
     x = np.random.default_rng(seed).standard_normal((count, 3))
-    tree = shortest_tree(x[None])
+    (tree,) = shortest_trees(x[None])
     length = np.linalg.norm(x[tree[:, 0]] - x[tree[:, 1]], axis=1).sum()
     assert length == pytest.approx(minimum_spanning_tree(apart(x)).sum(), rel=3e-15)
 
@@ -117,9 +117,9 @@ def test_gaps_across_a_box_are_those_of_what_it_has_split(box, seed):
     x = np.cumsum(rng.uniform(0.02, 0.16, (6, 1)) * [1.0, 0.2, 0.1], axis=0) + rng.uniform(0.0, 1.0, 3)
     x = x[rng.permutation(6)]
     split = wrapped(x, box)
-    (gap,), (shifts,) = image_gaps(split[None], box)
-    (own,), _ = image_gaps(x[None], None)
-    assert gap <= own + 1e-12
+    (gaps,), (shifts,) = image_gaps(split[None], box)
+    own, _ = image_gaps(x[None], None)
+    assert gaps.max() <= own.max() + 1e-12
     if np.ptp(x @ np.linalg.inv(box), axis=0).max() + 0.2 < 1.0:  # its ends are not nearer to each other's images
         y = split + shifts @ box
         np.testing.assert_allclose(y - y[0], x - x[0], rtol=0.0, atol=2e-15)

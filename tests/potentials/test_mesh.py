@@ -106,7 +106,7 @@ def test_positions_that_are_no_numbers_end_a_run_with_one_sentence():
     x = positions_of(context)
     x[7, 1] = np.nan
     context.setPositions(x)
-    with pytest.raises(ValueError, match=r"body 1 .* are not finite: set finite values"):
+    with pytest.raises(ValueError, match="the position of particle 7 is not finite: set finite positions"):
         integrator.step(1)
 
 
