@@ -171,35 +171,36 @@ class _Gaps:
         self._X, self._box = X, box
         self._wide = np.ptp(X @ np.linalg.inv(box), axis=1).max(axis=1) > 0.5  # other bodies are not split
 
-    @cached_property
-    def given(self) -> Array:
-        """The gaps (n, k - 1) in the minimum spanning trees of the bodies as given."""
-        return image_gaps(self._X, None)[0]
+    def given(self, within: float = np.inf) -> Array:
+        """Return the gaps (n, k - 1) in the minimum spanning trees of the bodies; see `image_gaps`."""
+        return image_gaps(self._X, None, within)[0]
 
     @cached_property
     def across(self) -> Array:
-        """The gaps (n, k - 1) in the minimum spanning trees of nearest images."""
-        across = self.given.copy()
-        across[self._wide] = self._joined[0]
+        """The longest gap (n,) in the minimum spanning tree of the nearest images of each body."""
+        across = np.empty(len(self._X))
+        across[self._wide] = self._nearest[0].max(axis=1)
+        across[~self._wide] = image_gaps(self._X[~self._wide], None)[0].max(axis=1)
         return across
 
     @cached_property
     def near(self) -> Array:
         """The bodies (n, k, 3), joined along the trees of nearest images."""
         near = self._X.copy()
-        near[self._wide] += self._joined[1] @ self._box
+        near[self._wide] += self._nearest[1] @ self._box
         return near
 
     @cached_property
     def torn(self) -> NDArray[np.bool_]:
         """A mask (n,) of the bodies whose longest gap is shorter across the box."""
-        torn = self._wide
+        torn = (self.near != self._X).any(axis=(1, 2))
         if torn.any():
-            torn = self.across.max(axis=1) < _SHORTER * self.given.max(axis=1)
+            across = self.across[torn]
+            torn[torn] = across < _SHORTER * image_gaps(self._X[torn], None, float(across.max()))[0].max(axis=1)
         return np.asarray(torn)
 
     @cached_property
-    def _joined(self) -> tuple[Array, Array]:
+    def _nearest(self) -> tuple[Array, Array]:
         return image_gaps(self._X[self._wide], self._box)
 
 
@@ -216,12 +217,13 @@ def _by_common_shape(X: Array, box: Array) -> tuple[Array, NDArray[np.bool_]]:
     if congruent(X[:1], X).all():
         return X, ~gaps.torn if np.ptp(relative, axis=0).max() <= RIGIDITY else confirmed
     near, torn = gaps.near, gaps.torn
-    if not torn.any() and (gaps.given <= _CLEAR * half_width(box)).all():
+    clear = _CLEAR * half_width(box)
+    if not torn.any() and (gaps.given(clear) <= clear).all():
         return X, confirmed
     apart = (relative - relative[0]) @ np.linalg.inv(box)
     if np.abs(apart - np.round(apart)).max() <= RIGIDITY / half_width(box):  # all have the same orientation
-        longest = gaps.across[0].max()
-        if longest > _CLEAR * half_width(box):
+        longest = gaps.across[0]
+        if longest > clear:
             raise ValueError(
                 f"the shapes of bodies of {len(near[0])} particles with the same masses differ by widths of the "
                 f"periodic box, and a gap of at least {longest:.3g} nm within a body makes it unclear which shape is "
@@ -271,7 +273,8 @@ def _say(number: int, X: Array, box: Array, split: bool) -> None:
     torn, clear, in_cell = bool(gaps.torn[0]), _CLEAR * half_width(box), _in_cell(X, box)
     if not torn and not (split and in_cell and np.linalg.norm(np.ptp(X, axis=0)) > clear):
         return
-    (steps,), given, across = gaps.given, gaps.given.max(initial=0.0), gaps.across.max(initial=0.0)
+    (steps,), (across,) = gaps.given(), gaps.across
+    given = steps.max(initial=0.0)
     if split and (torn or across > clear):
         raise ValueError(
             f"the periodic box has split molecules, and the shape of body {number} is ambiguous, because the gap of "

@@ -210,14 +210,16 @@ def braced(sites: Array) -> Indices:
     return np.concatenate([trees, np.broadcast_to(braces, (len(trees), *braces.shape))], axis=1)
 
 
-def image_gaps(X: Array, box: Array | None) -> tuple[Array, Array]:
+def image_gaps(X: Array, box: Array | None, within: float = np.inf) -> tuple[Array, Array]:
     """Return the gaps (n, k - 1) in the minimum spanning tree of each body (n, k, 3), and the shifts of its particles.
 
-    With a box, distances are those to the nearest images; the shifts (n, k, 3) are numbers of box vectors.
+    With a box, distances are those to the nearest images; the shifts (n, k, 3) are numbers of box vectors. Gaps wider
+    than `within` may be infinite.
     """
-    links, shifts = shortest_links(X, box)
-    gaps = links.lengths[links.tree[2]].reshape(len(X), X.shape[1] - 1)
-    return gaps, links.along_tree(shifts).reshape(X.shape)
+    links, shifts = shortest_links(X, box, within)
+    gaps, (particles, _, of) = np.full(X.shape[0] * X.shape[1], np.inf), links.tree
+    gaps[particles] = links.lengths[of]
+    return gaps.reshape(X.shape[:2])[:, 1:], links.along_tree(shifts).reshape(X.shape)
 
 
 def closest_pair(state: BodyState, box: Array | None = None) -> str:

@@ -7,6 +7,7 @@ of the same body. Trees of neighbours find these particles, so that the time is 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -22,7 +23,7 @@ _NEIGHBOURS, _MORE = 8, 4
 # In a box, neighbours are sought up to a distance, which is at first this multiple of the usual distance of nearest
 # neighbours, and grows by the second number until bodies are connected.
 _FIRST, _GROWTH = 3.0, 4.0
-# One in so many particles of a group is the first to look for other groups.
+# One in so many particles of a group looks for other groups first. The distances of these exclude many others.
 _SPARSE = 64
 # Smallest distance (nm) up to which neighbours are sought, if particles coincide.
 _LEAST = 1e-9
@@ -38,25 +39,36 @@ class Found(NamedTuple):
     shifts: Array
 
 
-def shortest_links(X: Array, box: Array | None = None) -> tuple[Links, Array]:
+def shortest_links(X: Array, box: Array | None = None, within: float = np.inf) -> tuple[Links, Array]:
     """Return links that contain a minimum spanning tree of each body (n, k, 3), and the shifts of their second ends.
 
     Particles are numbered body by body. With a box (3, 3), lengths are those to the nearest images, and the shifts are
-    numbers of box vectors.
+    numbers of box vectors. Links longer than `within` may be missing.
     """
     n, k, _ = X.shape
     found, label = [Found(np.zeros((0, 2), dtype=np.intp), np.zeros(0), np.zeros((0, 3)))], np.arange(n * k)
-    farthest = np.inf if box is None else float(np.linalg.norm(box, axis=1).sum())  # from the nearest image
-    reach = min(farthest, _FIRST * _spacing(X) + _LEAST) if box is not None and len(label) > n else farthest
-    while label.max(initial=-1) >= n:
+    for reach in _reaches(X, box, within):
         neighbours = _Neighbours(X, box, reach)
         while len((some := neighbours.of_other_groups(label)).pairs):
             found.append(some)
             label = connected(np.concatenate([links.pairs for links in found]), n * k)
-        reach = min(farthest, reach * _GROWTH)
+        if label.max() < n:
+            break
     pairs, lengths, shifts = map(np.concatenate, zip(*found, strict=True))
     links = Links(pairs, lengths, n * k)
     return links, shifts[links.chosen]
+
+
+def _reaches(X: Array, box: Array | None, within: float) -> Iterator[float]:
+    """Yield the distances up to which links are sought, the last of which is `within` or includes all images."""
+    if X.shape[0] and X.shape[1] > 1:
+        if box is not None:
+            within = min(within, float(np.linalg.norm(box, axis=1).sum()))
+            reach = _FIRST * _spacing(X) + _LEAST
+            while reach < within:
+                yield reach
+                reach *= _GROWTH
+        yield within
 
 
 def _spacing(X: Array) -> float:
@@ -144,7 +156,7 @@ class _Neighbours:
                     self._search(label, asking, among, length, place)
 
     def _search(self, label: Indices, asking: Indices, among: Indices, length: Array, place: Indices) -> None:
-        """Enter the nearest of the places `among` for particles of each group, first for some, which bound the rest."""
+        """Enter the nearest of the places `among` for those particles of each group that can be nearest to them."""
         tree, asking = _tree(self._places[among]), asking[np.argsort(label[asking], kind="stable")]
 
         def enter(particles: Indices) -> Array:
@@ -157,8 +169,8 @@ class _Neighbours:
         for group in np.split(asking, np.flatnonzero(np.diff(label[asking])) + 1):
             some = group[::_SPARSE]
             least = enter(some)
-            apart, nearest = _tree(self._x[some]).query(self._x[group])
-            enter(group[least[nearest] - apart <= length[group].min()])  # others are farther by the triangle inequality
+            apart, close = _tree(self._x[some]).query(self._x[group])
+            enter(group[least[close] - apart <= length[group].min()])  # others are farther by the triangle inequality
 
 
 def _tree(places: Array) -> Any:
