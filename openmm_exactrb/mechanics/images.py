@@ -115,18 +115,20 @@ def _best_way(x: Array, links: Links, box: Array, names: Indices) -> Array:
         around = -np.round(gap[link] @ np.linalg.inv(box)) + lattice(2 + int(links.lengths[link] / half_width(box)))
         near = np.abs(np.linalg.norm(gap[link] + around @ box, axis=1) - links.lengths[link]) < _NEAR
         offered[link] = around[near] if near.any() else offered[link]
-    ways = itertools.islice(itertools.product(*offered), _MOST_WAYS)
-    tried = [links.along_tree(np.array(way)) for way in ways]
-    misses = np.array([missed(total) for total in tried])
-    best = int(np.argmin(misses))
-    if missed(given) <= misses[best] + _EQUAL:
+    best, misses = given, []
+    for way in itertools.islice(itertools.product(*offered), _MOST_WAYS):
+        total = links.along_tree(np.array(way))
+        misses.append(missed(total))
+        best = total if misses[-1] == min(misses) else best
+    least = min(misses)
+    if missed(given) <= least + _EQUAL:
         return given
-    if (misses <= misses[best] + _EQUAL).sum() > 1:
+    if sum(miss <= least + _EQUAL for miss in misses) > 1:
         raise ValueError(
             f"the periodic box has split the group of particles {listed(names)}, and two images fit equally well: set "
             "positions in which this group is whole"
         )
-    return tried[best]
+    return best
 
 
 class Shapes:
