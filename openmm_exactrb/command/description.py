@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from openmm import app, unit
 from openmm.app.internal.unitcell import computeLengthsAndAngles
 
+from openmm_exactrb.context.solver import mended
 from openmm_exactrb.context.updates import names_of_updates
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
@@ -71,10 +72,18 @@ def _found(system: openmm.System, positions: unit.Quantity | None) -> tuple[Rigi
     integrator = ExactRigidBodyIntegrator(0.001)
     context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
     context.setPositions(positions)
+    corrected = mended(context)
     with warnings.catch_warnings(record=True) as noted:
         warnings.simplefilter("always")
         bodies, _ = integrator.bodyState()
-    return bodies, [str(note.message) for note in noted]
+    notes = [str(note.message) for note in noted]
+    if corrected:
+        notes.insert(
+            0,
+            f"constrained bonds are stretched by up to {corrected:.2g} nm, which exactrb run corrects before its "
+            "minimisation: in a script, call context.applyConstraints(1e-6) after setPositions",
+        )
+    return bodies, notes
 
 
 class _Names:

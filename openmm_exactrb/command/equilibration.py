@@ -13,6 +13,7 @@ import openmm
 from openmm import app
 
 from openmm_exactrb.command.inputs import Box, begin_at
+from openmm_exactrb.context.solver import mended
 from openmm_exactrb.mechanics.fit import ShapeWarning
 from openmm_exactrb.openmm_access.platforms import mixed, why_not_by_default
 from openmm_exactrb.runs import Run
@@ -116,6 +117,7 @@ def _equilibrated(
     else:
         simulation.context.setPositions(box.positions)
     if not box.moves:
+        mended(simulation.context)
         with warnings.catch_warnings():  # positions of a file need not match the constraints before the minimisation
             warnings.simplefilter("ignore", ShapeWarning)
             flexible = len(integrator.bodyState()[0].clusters) > 0  # only OpenMM's minimiser supports clusters

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import openmm
 from numpy.typing import NDArray
 
-from openmm_exactrb.openmm_access import parameters
+from openmm_exactrb.mechanics.fit import REFUSED
+from openmm_exactrb.mechanics.images import joined
+from openmm_exactrb.mechanics.links import Links
+from openmm_exactrb.openmm_access import arrays, parameters
 from openmm_exactrb.support.types import Array
 
 # A distance that differs from the constrained length by more than this fraction of it indicates a split molecule.
 _SPLIT = 0.5
 # The same for positions after the solver has failed; the solver's tolerance is much smaller.
 _MISSED = 0.01
+# The relative tolerance of constraints that OpenMM's solver is to satisfy.
+_TOLERANCE = 1e-6
 # Smallest pivot of independent constraints, whose directions are unit vectors.
 _DEPENDENT = 1e-6
 
@@ -35,6 +42,36 @@ def satisfied(system: openmm.System, x: Array) -> bool:
     """Return whether positions (n_particles, 3) that OpenMM's solver has computed satisfy the constraints to 1 %."""
     pairs, lengths = parameters.constraints(system)
     return bool((np.abs(_distances(pairs, x)[1] - lengths) <= _MISSED * lengths).all())
+
+
+def mended(context: Any) -> float:
+    """Let OpenMM's solver put positions on the constraints if they are too far from these for a first step.
+
+    Molecules that the box has split are joined first. Positions that the solver cannot mend are unchanged.
+
+    Returns
+    -------
+    float
+        The largest error of a constrained length that was corrected, in nm, or 0.
+    """
+    system, x = context.getSystem(), arrays.positions(context.getState(positions=True))
+    pairs, lengths = parameters.constraints(system)
+    box = arrays.periodic_box(context)
+    whole = x if box is None else joined(x, Links(pairs, lengths, len(x)), box)
+    apart, distance = _distances(pairs, whole)
+    missed = float(np.abs(distance - lengths).max(initial=0.0))
+    if (
+        not REFUSED < missed < np.inf
+        or not distance.all()
+        or not _independent(apart / distance[:, None], pairs, len(x))
+    ):
+        return 0.0
+    context.setPositions(whole)
+    context.applyConstraints(_TOLERANCE)
+    if satisfied(system, arrays.positions(context.getState(positions=True))):
+        return missed
+    context.setPositions(x)
+    return 0.0
 
 
 def _distances(pairs: NDArray[np.intp], x: Array) -> tuple[Array, Array]:

@@ -16,8 +16,8 @@ from openmm_exactrb.support.types import Array, Indices
 from openmm_exactrb.support.warn import warn
 
 #: Larger deviations from a rigid shape, in nm, raise an error, because the positions belong to another molecule or to a
-#: split molecule.
-REFUSED = 0.02
+#: split molecule. Smaller ones occur for stretched bonds, as in files with positions from another force field.
+REFUSED = 0.06
 #: Bodies that agree within this distance, in nm, have the same shape.
 RIGIDITY = 1e-4
 # Deviations up to the first distance, in nm, are corrected without a warning, because PDB files round positions to
@@ -26,8 +26,12 @@ _ROUNDED, _ROUGHLY_ROUNDED = 2e-4, 2e-3
 # A body whose positions relative to its centre changed by less than this distance, in nm, was translated but not
 # rotated.
 _SHIFTED = 1e-9
+# A particle displaced by more than this distance, in nm, is in another periodic image or was not placed at all.
+_ELSEWHERE = 0.4
+# Number of particles of a body that are examined as the only displaced one.
+_SUSPECTS = 8
 # Number of Newton steps onto the constraints. Each step squares the relative error, so that this number reduces an
-# error of a fifth of a bond length to below roundoff.
+# error of half a bond length to below roundoff.
 _NEWTON = 8
 # If the error of a length after these steps exceeds this distance, in nm, the constraints cannot be satisfied.
 _REACHED = 1e-9
@@ -148,11 +152,10 @@ def _judge(bodies: RigidBodies, x: Array, chosen: Indices, distance: Array) -> N
     worst = int(np.argmax(distance))
     name = bodies.name(int(chosen[worst]))
     if distance[worst] > REFUSED:
-        cause = _cause(bodies, x, int(chosen[worst])) or (
-            f", more than {REFUSED:g} nm: set positions that match the constraints or, for a body given in bodies=, "
-            "the positions that were set first"
+        raise ValueError(
+            f"the positions of {name} deviate from its shape by {distance[worst]:.2g} nm"
+            f"{_cause(bodies, x, int(chosen[worst]), float(distance[worst]))}"
         )
-        raise ValueError(f"the positions of {name} deviate from its shape by {distance[worst]:.2g} nm{cause}")
     remedy = "set positions that match the shapes"
     if distance[worst] <= _ROUGHLY_ROUNDED:
         remedy += ", unless these come from a file with three decimals in nm"
@@ -163,27 +166,43 @@ def _judge(bodies: RigidBodies, x: Array, chosen: Indices, distance: Array) -> N
     )
 
 
-def _cause(bodies: RigidBodies, x: Array, body: int) -> str | None:
-    """Return a cause and a remedy if a body is the mirror image of its shape or one atom is misplaced, or None."""
-    if body >= bodies.n_turning:
-        return None
-    kind = next(kind for kind in bodies.kinds if body < kind.bodies.stop)
-    row = body - kind.bodies.start
-    particles, sites = kind.particles[row], kind.sites[row % len(kind.sites)]
-    missed = np.array([_missed_by(k, kind.weights, sites, x[particles]) for k in range(len(particles))])
-    if _missed_by(None, kind.weights, -sites, x[particles]).max() <= REFUSED:
+def _cause(bodies: RigidBodies, x: Array, body: int, distance: float) -> str:
+    """Return the cause of a deviation, and a remedy."""
+    if body < bodies.n_turning:
+        kind = next(kind for kind in bodies.kinds if body < kind.bodies.stop)
+        row = body - kind.bodies.start
+        particles, sites = kind.particles[row], kind.sites[row % len(kind.sites)]
+        if _missed_by(None, kind.weights, -sites, x[particles]).max() <= REFUSED:
+            return (
+                " and form its mirror image: set positions with the handedness of those that were set "
+                "first, or call context.reinitialize(preserveState=True) to make the present positions the shape"
+            )
+        astray = _astray(kind.weights, sites, x[particles])
+        if astray is not None and astray[1] > _ELSEWHERE:
+            return (
+                f", because of particle {particles[astray[0]]} alone, {astray[1]:.2g} nm from its place relative to "
+                "the others: set the position of this particle again, in the periodic image of the others"
+            )
+    if distance > _ELSEWHERE:
         return (
-            " and form its mirror image: set positions with the handedness of those that were set "
-            "first, or call context.reinitialize(preserveState=True) to make the present positions the shape"
+            ", so that some of its particles are in another periodic image or have no proper position: set positions "
+            "in which it is whole"
         )
-    (astray,) = np.nonzero(np.where(np.eye(len(missed)), 0.0, missed).max(axis=1) <= REFUSED)
-    if len(astray) != 1:
-        return None
-    k = astray[0]
     return (
-        f", because of particle {particles[k]} alone, {missed[k, k]:.2g} nm from its place relative to the others: set "
-        f"the position of this particle again, in the periodic image of the others"
+        f", more than {REFUSED:g} nm, because bonds are stretched or bent: call context.applyConstraints(1e-6) after "
+        "setPositions or, for a body given in bodies=, set the positions that were set first"
     )
+
+
+def _astray(weights: Array, sites: Array, x: Array) -> tuple[int, float] | None:
+    """Return the only particle of a body that is displaced by more than `REFUSED`, and its displacement, or None."""
+    suspects = np.argsort(_missed_by(None, weights, sites, x))[-_SUSPECTS:]
+    found = []
+    for k in map(int, suspects):
+        missed = _missed_by(k, weights, sites, x)
+        if np.delete(missed, k).max() <= REFUSED:
+            found.append((k, float(missed[k])))
+    return found[0] if len(found) == 1 else None
 
 
 def _missed_by(left_out: int | None, weights: Array, sites: Array, x: Array) -> Array:
