@@ -355,10 +355,10 @@ class ExactRigidBodyIntegrator(Copied, OwnProgram, openmm.CustomIntegrator, Body
         propagator = self._propagator
         return propagator is None or propagator.sync.outdated or self.getGlobalVariable(0) not in self._selection.marks
 
-    def _settle(self, context: Any) -> None:
+    def _settle(self, context: Any, settings: Settings | None = None) -> None:
         """Choose the engine for a Context, and create a propagator if the engine changes."""
         before = self._selection.engine
-        self._selection.settle(context, self, self._settings())
+        self._selection.settle(context, self, settings or self._settings())
         if self._selection.engine is not before:
             self._propagator = None
 
@@ -368,8 +368,10 @@ class ExactRigidBodyIntegrator(Copied, OwnProgram, openmm.CustomIntegrator, Body
     def _present(self) -> Propagator:
         """Return the propagator of the present Context."""
         if self._propagator is None or self._unsettled():
-            self._settle(context := self._found())
-            self._propagator = self._selection.engine.propagator(context, self, self._settings(), self.timings)
+            context, settings = self._found(), self._settings()
+            settings.found(context)  # with the warnings that the choice of the engine does not repeat
+            self._settle(context, settings)
+            self._propagator = self._selection.engine.propagator(context, self, settings, self.timings)
             self._propagator.sync.new_trajectory = self._noise.parting(self)
             warn_of_removed_motion(context.getSystem())
         return self._propagator

@@ -21,6 +21,7 @@ from openmm_exactrb.context.updates import ContextUpdates
 from openmm_exactrb.mechanics.free_motion import Constrain
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.multiple_time_steps.fast_forces import MultipleTimeSteps
+from openmm_exactrb.multiple_time_steps.found import Found, found
 from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.openmm_access.units import gas_constant_times
 from openmm_exactrb.rotors import Rotor
@@ -71,6 +72,13 @@ class Settings:
     named: list[list[int]] | None
     check: bool
     constraints: tuple[Constrain, ...] = ()
+
+    def found(self, context: Any) -> Found:
+        """Return the bodies of a Context and its fast forces, which these settings look for only once."""
+        known: dict[str, Found] = self.__dict__
+        if "_found" not in known:
+            known["_found"] = found(context, self.named, self.fast)
+        return known["_found"]
 
     @property
     def numbers(self) -> tuple[str, ...]:

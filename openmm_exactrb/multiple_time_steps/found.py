@@ -11,6 +11,7 @@ import openmm
 from openmm_exactrb.context.synchronisation import require_positions
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.mechanics.bodies import RigidBodies
+from openmm_exactrb.mechanics.images import Shapes
 from openmm_exactrb.multiple_time_steps.fast_forces import FastForces, MultipleTimeSteps, fast_forces
 from openmm_exactrb.multiple_time_steps.resonance import Resonances
 from openmm_exactrb.openmm_access import arrays
@@ -53,7 +54,8 @@ def found(context: Any, named: Sequence[Sequence[int]] | None, settings: Multipl
     fast = fast_forces(system, whole, settings)
     if not len(whole.clusters) and fast is None:
         return Found(whole, whole, None)
-    bodies = find_bodies(system, x, named, box, pairs=True)
+    joined = x if box is None else Shapes(whole).whole(x, box)
+    bodies = find_bodies(system, joined, named, pairs=True)
     return Found(bodies, whole, _among(bodies, fast))
 
 

@@ -27,7 +27,7 @@ from openmm_exactrb.mechanics.free_motion import free_motion
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.multiple_time_steps.bonded import BondedNumbers
 from openmm_exactrb.multiple_time_steps.fast_forces import FastForces
-from openmm_exactrb.multiple_time_steps.found import found
+from openmm_exactrb.multiple_time_steps.found import Found
 from openmm_exactrb.openmm_access import platforms
 from openmm_exactrb.openmm_access.molecules import in_flexible_molecules
 from openmm_exactrb.openmm_access.units import gas_constant_times
@@ -73,7 +73,7 @@ class DevicePropagator:
 
     def __init__(self, context: Any, integrator: Any, settings: Any, timings: Timings) -> None:
         system = context.getSystem()
-        self._found = found(context, settings.named, settings.fast)
+        self._found: Found = settings.found(context)
         self._resonances = self._found.resonances(system)
         self._bonded = BondedNumbers.of(system, self._found.bodies.owner) if settings.fast else None
         self._fast_changed = False

@@ -17,7 +17,6 @@ from openmm_exactrb.engines.library import TYPE, Device, describe, library
 from openmm_exactrb.errors import MissingLibraryError
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.moves import Op, of_substep
-from openmm_exactrb.multiple_time_steps.found import found
 from openmm_exactrb.openmm_access import platforms
 from openmm_exactrb.rotors import ROTORS
 from openmm_exactrb.schemes.scheme import Scheme
@@ -64,7 +63,7 @@ def _unsupported_in(context: Any, settings: Settings) -> str | None:
         return f"the kernels for the platform {name} are compiled without the device_moves of {own!r}"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the propagator issues these warnings
-        bodies, _, fast = found(context, settings.named, settings.fast)
+        bodies, _, fast = settings.found(context)
     if (why := _slender(bodies)) is not None:
         return why
     try:

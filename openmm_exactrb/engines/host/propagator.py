@@ -31,7 +31,6 @@ from openmm_exactrb.mechanics.divergence import DivergenceCheck, Overheating, fr
 from openmm_exactrb.mechanics.free_motion import Kinetic, free_motion
 from openmm_exactrb.mechanics.state import Flow, ForceMemory, State
 from openmm_exactrb.multiple_time_steps.bonded import BondedNumbers
-from openmm_exactrb.multiple_time_steps.found import found
 from openmm_exactrb.multiple_time_steps.inner_drift import InnerDrift
 from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.schemes.sequence import behind_exchange, inverse, through, up_to_kick
@@ -102,7 +101,7 @@ class HostPropagator:
         self, context: openmm.Context, integrator: openmm.CustomIntegrator, settings: Settings, timings: Timings
     ) -> None:
         rotor = settings.rotor
-        self._found = found(context, settings.named, settings.fast)
+        self._found = settings.found(context)
         self.sync = Synchronisation(
             context, integrator, settings.named, bodies=self._found.bodies, storage=_storage(settings)
         )
