@@ -116,7 +116,7 @@ def test_broken_molecules_are_refused_until_they_are_mended():
         one.step(2)
     good = coordinates(simulation)
     broken = good.copy()
-    broken[4] += 0.05
+    broken[4] += 0.1
     simulation.context.setPositions(broken)
     for ask in (lambda: simulation.step(1), lambda: simulation.step(1), simulation.integrator.totalEnergy):
         with pytest.raises(ValueError, match="deviate from its shape"):
