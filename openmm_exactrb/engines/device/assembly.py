@@ -12,7 +12,8 @@ from openmm_exactrb.engines.device.flexible.evaluated import Evaluated
 from openmm_exactrb.engines.device.flexible.part import Flexible, FlexiblePart
 from openmm_exactrb.engines.device.program import Launch, Program, Source
 from openmm_exactrb.engines.device.rigid import Demands, RigidPart, parts_of
-from openmm_exactrb.engines.device.segments import ALL, Sequences, Step, Table, divided
+from openmm_exactrb.engines.device.segments import ALL, Step, Table, divided
+from openmm_exactrb.engines.device.sequences import Sequences
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.moves import Move, Op, of_substep
 from openmm_exactrb.schemes.scheme import Scheme
@@ -61,12 +62,7 @@ class Assembly:
         moves = [move for row in rows for move in of_substep(*row)]
         drifts = [move.part for move in moves if move.op == Op.DRIFT and move.bodies != "others"]
         kicks = ALL if evaluated is None else evaluated.slow
-        step = Step.of(
-            rows,
-            splits_exchanges=factors is not None,
-            remembered=kicks if any(scheme.memory) else None,
-            processed=processed,
-        )
+        step = Step.of(rows, factors is not None, kicks if any(scheme.memory) else None, processed)
         self.evaluated = 0 if evaluated is None else step.evaluations(evaluated.groups)
         ways = (divided(ahead), divided(inverse(ahead)))
         self.evaluated_around = sum(segment.groups is not None for way in ways for segment in way)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 import weakref
 from collections.abc import Callable
@@ -16,14 +15,14 @@ from openmm_exactrb.context.forces import ContextForces
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.updates import ContextUpdates, conserve_energy
 from openmm_exactrb.engines.device.assembly import EXCHANGE_NUMBERS, Assembly
+from openmm_exactrb.engines.device.exchange import at_exchange
 from openmm_exactrb.engines.device.flexible.molecules import served
 from openmm_exactrb.engines.device.flexible.part import Flexible
-from openmm_exactrb.engines.device.rigid import RigidPart
+from openmm_exactrb.engines.device.reports import DivergedError, judged, kinetic_by_kind, monitor
 from openmm_exactrb.engines.device.state import FORCES, DeviceState
 from openmm_exactrb.engines.library import Device, library
 from openmm_exactrb.errors import IntegrationError, NonFiniteError
-from openmm_exactrb.mechanics.divergence import GROWN, Overheating, gained, non_finite, of_step
-from openmm_exactrb.mechanics.free_motion import free_motion
+from openmm_exactrb.mechanics.divergence import GROWN, gained, non_finite, of_step
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.multiple_time_steps.bonded import BondedNumbers
 from openmm_exactrb.multiple_time_steps.fast_forces import FastForces
@@ -31,8 +30,6 @@ from openmm_exactrb.multiple_time_steps.found import Found
 from openmm_exactrb.openmm_access import platforms
 from openmm_exactrb.openmm_access.molecules import in_flexible_molecules
 from openmm_exactrb.openmm_access.units import gas_constant_times
-from openmm_exactrb.schemes.sequence import behind_exchange, inverse
-from openmm_exactrb.support.types import Array
 from openmm_exactrb.support.warn import warn
 from openmm_exactrb.thermostat import Factors
 
@@ -44,14 +41,6 @@ _AFTER = 1
 
 # Kinetic and total energy in kJ/mol.
 Energies = tuple[float, float]
-
-
-class _DivergedError(Exception):
-    """Steps have diverged: the kind of the error, and its description without the step."""
-
-    def __init__(self, kind: type[IntegrationError], what: str) -> None:
-        super().__init__(what)
-        self.kind, self.what = kind, what
 
 
 class DevicePropagator:
@@ -113,28 +102,13 @@ class DevicePropagator:
         ValueError
             If OpenMM evaluates fast forces in drifts after the exchange.
         """
-        of = settings()
-        behind = behind_exchange(of.scheme.sequence)
-        if behind and (evaluated := self._served.evaluated) is not None:
-            raise ValueError(
-                f"the device has no kernel for {evaluated.what}, so it cannot compute the energy at the heat exchange "
-                f"of {of.outer.name}: use engine='host'"
-            )
         self.sync.pull()
-        bodies, state = self.sync.bodies, self.sync.state
-        drift = free_motion(bodies, of.rotor).drift
-        for _, part in inverse(behind):
-            state = drift(state, part * of.h)
-        if any(molecules.late for molecules in self._served.molecules):  # late steps end at the exchange
-            assert self._fast is not None
-            assert self._fast.excerpt is not None
-            nested = self._fast.excerpt.part
-            state = nested.into(state, nested.of(self.sync.state))
+        state = at_exchange(settings(), self._served, self._fast, self.sync)
         try:
-            potential = ContextForces(self.sync.positions, of.groups, self._timings).energy_at(state)
+            forces = ContextForces(self.sync.positions, settings().groups, self._timings)
+            return float(sum(self.sync.bodies.kinetic_energies(state.rounded)) + forces.energy_at(state))
         finally:
             self.sync.push()
-        return float(sum(bodies.kinetic_energies(state.rounded)) + potential)
 
     # -- the program ---------------------------------------------------------------------------------------------------
 
@@ -187,7 +161,7 @@ class DevicePropagator:
             self.sync.renew()
             self._fast_changed = False
         self._warn_of_resonances()
-        self._overheating = self._monitor()
+        self._overheating = monitor(self._settings, self.sync.bodies, self._assembly.parts) if self._conserves else None
         self.device["settings"] = settings.identity
         moves, numbers = self._assembly.table.values(settings.h, self._exchange)
         self.device.upload("moves", moves)
@@ -206,18 +180,6 @@ class DevicePropagator:
             return
         if fast.acts(settings.splitting, settings.h):
             self._resonances.warn(settings.splitting, abs(settings.h / settings.splits))
-
-    def _monitor(self) -> Overheating | None:
-        """Return the monitor of temperatures, or None if settings or forces exclude it."""
-        watched, bodies = self._settings.watched, self.sync.bodies
-        if watched is None or not self._conserves:
-            return None
-        rigid = sum(3 * part.n for part in self._assembly.parts if isinstance(part, RigidPart))
-        return Overheating((rigid, bodies.rotational_freedom, bodies.translational_freedom - rigid), *watched)
-
-    def _kinetic_by_kind(self) -> Array:
-        every = [part.kinetic_by_kind(self.device) for part in self._assembly.parts]
-        return np.asarray(np.sum(every, axis=0))
 
     @property
     def _factors(self) -> Factors | None:
@@ -292,7 +254,8 @@ class DevicePropagator:
             n -= count
         self._fetch_numbers()
         if self._overheating is not None:
-            self._overheating.see(self.sync.context.getTime()._value, self._kinetic_by_kind)
+            now = self.sync.context.getTime()._value
+            self._overheating.see(now, lambda: kinetic_by_kind(self.device, self._assembly.parts))
 
     def _perform(self, n: int, shows: bool, since: Energies | None = None) -> None:
         """Perform n steps; unless the Context `shows` the result, more steps follow.
@@ -305,7 +268,7 @@ class DevicePropagator:
         self._kept = self._shown
         try:
             self._make(n, shows, since)
-        except _DivergedError as found:
+        except DivergedError as found:
             self._restore()
             if n == 1:
                 self._show()
@@ -321,7 +284,7 @@ class DevicePropagator:
                 error.add_note(f"The Context could not be restored ({second}): load a checkpoint into a new Context.")
             raise
 
-    def _error(self, found: _DivergedError) -> IntegrationError:
+    def _error(self, found: DivergedError) -> IntegrationError:
         """Return the error for the next step, which diverges; the Context contains the state before it."""
         self.sync.pull()
         context = self.sync.context
@@ -329,7 +292,7 @@ class DevicePropagator:
         return found.kind(of_step(number, time, found.what, self.sync.state, self.sync.box()))
 
     def _make(self, n: int, shows: bool, since: Energies | None) -> None:
-        """Perform n steps; raise _DivergedError if they diverge."""
+        """Perform n steps; raise DivergedError if they diverge."""
         kinetic, bad = self._step(n, shows)
         if bad:
             self._refuse()
@@ -367,17 +330,17 @@ class DevicePropagator:
             self._timings.evaluations += slow + trials
             self._timings.fast_evaluations += n * self._assembly.fast_evaluations + around
             self.sync.moved_on()
-        return _judged(*report)
+        return judged(*report)
 
     def _report(self) -> tuple[float, bool]:
         """Return the kinetic energy (kJ/mol), and whether the state of any body is invalid."""
-        return _judged(*self.device.report(self._shown))
+        return judged(*self.device.report(self._shown))
 
     def _refuse(self) -> None:
-        """Raise _DivergedError with the names of the invalid bodies."""
+        """Raise DivergedError with the names of the invalid bodies."""
         state = self.sync.on_device(self._shown)
         what = non_finite(self.sync.bodies, state) or "positions or forces became non-finite"
-        raise _DivergedError(NonFiniteError, what)
+        raise DivergedError(NonFiniteError, what)
 
     @property
     def _judged(self) -> bool:
@@ -393,7 +356,7 @@ class DevicePropagator:
         return kT * (bodies.translational_freedom + bodies.rotational_freedom + 20)
 
     def _compare(self, since: Energies | None) -> None:
-        """Raise _DivergedError if the total energy has jumped.
+        """Raise DivergedError if the total energy has jumped.
 
         The energies are compared with those in `since`, or with earlier ones, and if these do not suffice, with those
         before the present steps.
@@ -409,7 +372,7 @@ class DevicePropagator:
             self.device.restore(_AFTER)
             self._shown = here
         if message is not None:
-            raise _DivergedError(IntegrationError, message)
+            raise DivergedError(IntegrationError, message)
         self._reference = after
 
     def _energies(self) -> Energies:
@@ -434,9 +397,3 @@ class DevicePropagator:
             )
         self._resonances = self._found.resonances(system)
         self._fast_changed, self._version = True, None
-
-
-def _judged(translation: float, rotation: float, invalid: float) -> tuple[float, bool]:
-    """Return the kinetic energy (kJ/mol) of a report, and whether the state of any body is invalid."""
-    kinetic = translation + rotation
-    return kinetic, bool(invalid) or not math.isfinite(kinetic)

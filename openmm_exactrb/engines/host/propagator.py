@@ -24,9 +24,8 @@ from openmm_exactrb.context.updates import ContextUpdates, conserve_energy
 from openmm_exactrb.context.variables import Numbers
 from openmm_exactrb.engines.engine import Settings
 from openmm_exactrb.engines.host.environment import Bound, HostEnvironment
-from openmm_exactrb.engines.host.storage import ProgramStorage
+from openmm_exactrb.engines.host.storage import storage_of
 from openmm_exactrb.engines.library import library, of_library
-from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.divergence import DivergenceCheck, Overheating, freedom_by_kind, kinetic_by_kind
 from openmm_exactrb.mechanics.free_motion import Kinetic, free_motion
 from openmm_exactrb.mechanics.state import Flow, ForceMemory, State
@@ -103,7 +102,7 @@ class HostPropagator:
         rotor = settings.rotor
         self._found = settings.found(context)
         self.sync = Synchronisation(
-            context, integrator, settings.named, bodies=self._found.bodies, storage=_storage(settings)
+            context, integrator, settings.named, bodies=self._found.bodies, storage=storage_of(settings)
         )
         self._kinetic = free_motion(self.sync.bodies, rotor, settings.constraints)
         self.updates = ContextUpdates(context, settings.named or [], self._kinetic.lost)
@@ -377,17 +376,6 @@ class HostPropagator:
             return state
 
         return flow
-
-
-def _storage(settings: Settings) -> Callable[[Any, RigidBodies], variables.Storage]:
-    """Return the function that returns where an integrator stores the state."""
-
-    def storage(integrator: Any, bodies: RigidBodies) -> variables.Storage:
-        if of_library(integrator):
-            return ProgramStorage(integrator, bodies, settings.memory)
-        return variables.PerDof(integrator, bodies)
-
-    return storage
 
 
 def _checked(flow: Callable[[State, Any], State], check: Callable[[State], Any]) -> Callable[[State, Any], State]:

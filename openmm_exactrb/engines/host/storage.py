@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
-from openmm_exactrb.context.variables import INNER, SHOWN
-from openmm_exactrb.engines.library import Device, library
+from openmm_exactrb.context.variables import INNER, SHOWN, PerDof, Storage
+from openmm_exactrb.engines.engine import Settings
+from openmm_exactrb.engines.library import Device, library, of_library
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.state import Force, State
 from openmm_exactrb.support.types import Array
@@ -68,3 +69,14 @@ class ProgramStorage:
 
     def _last(self, k: int, part: int) -> str:
         return f"host_last{k}_{part}"
+
+
+def storage_of(settings: Settings) -> Callable[[Any, RigidBodies], Storage]:
+    """Return the function storage(integrator, bodies) that returns where an integrator stores the state."""
+
+    def storage(integrator: Any, bodies: RigidBodies) -> Storage:
+        if of_library(integrator):
+            return ProgramStorage(integrator, bodies, settings.memory)
+        return PerDof(integrator, bodies)
+
+    return storage

@@ -1,0 +1,30 @@
+"""The state of the bodies at the last heat exchange of a step."""
+
+from __future__ import annotations
+
+from openmm_exactrb.context.synchronisation import Synchronisation
+from openmm_exactrb.engines.device.flexible.molecules import Served
+from openmm_exactrb.engines.engine import Settings
+from openmm_exactrb.mechanics.free_motion import free_motion
+from openmm_exactrb.mechanics.state import State
+from openmm_exactrb.multiple_time_steps.fast_forces import FastForces
+from openmm_exactrb.schemes.sequence import behind_exchange, inverse
+
+
+def at_exchange(settings: Settings, served: Served, fast: FastForces | None, sync: Synchronisation) -> State:
+    """Return the state at the last heat exchange; raise ValueError if OpenMM evaluates fast forces after it."""
+    behind = behind_exchange(settings.scheme.sequence)
+    if behind and (evaluated := served.evaluated) is not None:
+        raise ValueError(
+            f"the device has no kernel for {evaluated.what}, so it cannot compute the energy at the heat exchange "
+            f"of {settings.outer.name}: use engine='host'"
+        )
+    drift, state = free_motion(sync.bodies, settings.rotor).drift, sync.state
+    for _, part in inverse(behind):
+        state = drift(state, part * settings.h)
+    if any(molecules.late for molecules in served.molecules):  # late steps end at the exchange
+        assert fast is not None
+        assert fast.excerpt is not None
+        nested = fast.excerpt.part
+        state = nested.into(state, nested.of(sync.state))
+    return state

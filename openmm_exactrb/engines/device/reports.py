@@ -1,0 +1,46 @@
+"""What is read from the reports of a program: divergence, and temperatures that stay too high."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from openmm_exactrb.engines.device.flexible.part import FlexiblePart
+from openmm_exactrb.engines.device.rigid import RigidPart
+from openmm_exactrb.engines.engine import Settings
+from openmm_exactrb.engines.library import Device
+from openmm_exactrb.errors import IntegrationError
+from openmm_exactrb.mechanics.bodies import RigidBodies
+from openmm_exactrb.mechanics.divergence import Overheating
+from openmm_exactrb.support.types import Array
+
+Parts = Sequence[RigidPart | FlexiblePart]
+
+
+class DivergedError(Exception):
+    """Steps have diverged: the kind of the error, and its description without the step."""
+
+    def __init__(self, kind: type[IntegrationError], what: str) -> None:
+        super().__init__(what)
+        self.kind, self.what = kind, what
+
+
+def judged(translation: float, rotation: float, invalid: float) -> tuple[float, bool]:
+    """Return the kinetic energy (kJ/mol) of a report, and whether the state of any body is invalid."""
+    kinetic = translation + rotation
+    return kinetic, bool(invalid) or not math.isfinite(kinetic)
+
+
+def monitor(settings: Settings, bodies: RigidBodies, parts: Parts) -> Overheating | None:
+    """Return the monitor of temperatures, or None if the settings exclude it."""
+    if settings.watched is None:
+        return None
+    rigid = sum(3 * part.n for part in parts if isinstance(part, RigidPart))
+    return Overheating((rigid, bodies.rotational_freedom, bodies.translational_freedom - rigid), *settings.watched)
+
+
+def kinetic_by_kind(device: Device, parts: Parts) -> Array:
+    """Return the kinetic energies (kJ/mol) of the last report: translation, rotation and other particles."""
+    return np.asarray(np.sum([part.kinetic_by_kind(device) for part in parts], axis=0))
