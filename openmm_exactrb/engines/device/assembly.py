@@ -52,13 +52,15 @@ class Assembly:
         pairs: bool = False,
     ) -> None:
         self.scheme, processed = scheme, bool(scheme.processor)
+        inner = next((some.molecules.inner for some in flexible if some.molecules.inner), None)
+        if inner is not None or evaluated is not None:
+            scheme = scheme.with_inner_steps
         late = any(some.molecules.late for some in flexible)
         rows = canonical_momenta(scheme.sequence) if late else scheme.sequence
         ahead = up_to_kick(rows)
         if evaluated is not None:
             scheme = evaluated.within(scheme)
             rows, ahead = evaluated.rows(rows), evaluated.rows(ahead)
-        inner = next((some.molecules.inner for some in flexible if some.molecules.inner), None)
         moves = [move for row in rows for move in of_substep(*row)]
         drifts = [move.part for move in moves if move.op == Op.DRIFT and move.bodies != "others"]
         kicks = ALL if evaluated is None else evaluated.slow
@@ -66,19 +68,12 @@ class Assembly:
         self.evaluated = 0 if evaluated is None else step.evaluations(evaluated.groups)
         ways = (divided(ahead), divided(inverse(ahead)))
         self.evaluated_around = sum(segment.groups is not None for way in ways for segment in way)
-        self.fast_evaluations = self.evaluated if inner is None else sum(map(inner.evaluations, drifts))
-        own = tuple(dict.fromkeys(move.text for move in _moves(scheme) if move.text))
-        (forces, differences), (per_step, of_differences) = scheme.memory, step.remembered
-        self._demands = demands = Demands(
-            (forces, max(per_step, 1)),
-            (differences, max(of_differences, 1)),
-            processed,
-            any(move.op == Op.DISPLACE for move in _moves(scheme)),
-            factors is not None,
-            own,
-            pairs,
-        )
-        self.table = Table(own)
+        self.fast_evaluations = self.evaluated
+        if inner is not None:  # and one at the positions of each displaced kick
+            self.fast_evaluations = sum(map(inner.evaluations, drifts)) + step.remembered[1]
+        self._has_output = bool(scheme.output)
+        self._demands = demands = _demands(scheme, step, factors is not None, pairs)
+        self.table = Table(demands.own)
         prefixes = "flexible_", "constrained_"
         molecules = [FlexiblePart(some, demands, prefix) for some, prefix in zip(flexible, prefixes, strict=False)]
         others = np.concatenate([np.zeros(0, int), *(part.bodies for part in molecules)])
@@ -107,7 +102,22 @@ class Assembly:
     def _enough(self) -> float:
         """The number of steps that store enough forces for the output, which is infinite if the output needs none."""
         pairs = (self._demands.memory, self._demands.differences)
-        return max(math.ceil(size / per_step) for size, per_step in pairs) if self.scheme.output else 1e300
+        return max(math.ceil(size / per_step) for size, per_step in pairs) if self._has_output else 1e300
+
+
+def _demands(scheme: Scheme, step: Step, scales: bool, pairs: bool) -> Demands:
+    """Return what a scheme and its thermostat require of the kernels; the flags are those of `Demands`."""
+    moves = _moves(scheme)
+    (forces, differences), (per_step, of_differences) = scheme.memory, step.remembered
+    return Demands(
+        (forces, max(per_step, 1)),
+        (differences, max(of_differences, 1)),
+        bool(scheme.processor),
+        any(move.op == Op.DISPLACE for move in moves),
+        scales,
+        tuple(dict.fromkeys(move.text for move in moves if move.text)),
+        pairs,
+    )
 
 
 def _moves(scheme: Scheme) -> Iterable[Move]:

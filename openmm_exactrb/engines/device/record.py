@@ -70,17 +70,15 @@ def _unsupported_in(context: Any, settings: Settings) -> str | None:
         molecules, evaluated = served(context, bodies, fast, settings)
     except NotServedError as error:
         return str(error)
-    if evaluated is not None and (why := _unsupported_around(settings.scheme)):
-        return f"the device has no kernel for {evaluated.what}, which {why} of {settings.outer.name} need"
+    if evaluated is not None and (own := _own_drift(settings.scheme)):
+        return f"the device has no kernel for {evaluated.what}, which the drifts {own!r} of {settings.outer.name} need"
     return _unsupported_beside_molecules(settings) if molecules else None
 
 
-def _unsupported_around(scheme: Scheme) -> str | None:
-    """Return the substeps that cannot contain inner steps for which OpenMM evaluates forces, or None."""
-    if scheme.has_gradients:
-        return "the force gradients"
-    own = [substep for substep, _ in scheme.rows if isinstance(substep, Drift) and type(substep) is not Drift]
-    return f"the drifts {own[0]!r}" if own else None
+def _own_drift(scheme: Scheme) -> Drift | None:
+    """Return a drift of a class of its own, which inner steps with forces of OpenMM cannot replace, or None."""
+    drifts = (substep for substep, _ in scheme.rows if isinstance(substep, Drift))
+    return next((drift for drift in drifts if type(drift) is not Drift), None)
 
 
 def _slender(bodies: RigidBodies) -> str | None:
@@ -95,8 +93,6 @@ def _slender(bodies: RigidBodies) -> str | None:
 
 def _unsupported_beside_molecules(settings: Settings) -> str | None:
     """Return the reason why the kernels of flexible molecules do not support the scheme, or None."""
-    if settings.scheme.has_gradients:
-        return f"the device has no force-gradient kicks for flexible molecules, which {settings.outer.name} needs"
     if own := _with_text(settings.scheme):
         return f"the device has no kernel of {own!r} for flexible molecules"
     return None

@@ -106,7 +106,7 @@ class Sequences:
         """
         first, *middle, last = step.segments
         ends: list[Operation] = [program.STEP, program.add("turn", 1.0)]
-        placed = self.moved(Segment(places=True)) if processed else []  # the Context shows other positions
+        placed = self.moved(Segment(places=True))  # the Context may show other positions, or miss constraints
         to.sequence("forces", [] if step.needs is None else [*placed, *self.evaluation(step.needs, 0.0)])
         to.sequence("open", self.moved(first))
         to.sequence("body", [*self.carried_out(middle), *self.before(last)])

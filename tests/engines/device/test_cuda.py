@@ -39,7 +39,11 @@ def sources(scheme, thermostat, start):
 def of_flexible(scheme, constraints, precision):
     """Return the kernels of a peptide in water with inner steps."""
     _, system, x = in_water(constraints, 30)
-    integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 3.0, 0.002, scheme, engine="device", fast="bonded")
+    settings = {"scheme": scheme, "engine": "device", "fast": "bonded"}
+    if scheme in rb.SCHEMES:
+        integrator = rb.ExactRigidBodyIntegrator(0.002, **settings)
+    else:
+        integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 3.0, 0.002, **settings)
     context = openmm.Context(system, integrator, device_platform(), {"Precision": precision})
     context.setPositions(x)
     integrator.step(0)
@@ -71,7 +75,7 @@ def test_kernels_compile_for_cuda_and_spill_nothing(scheme, thermostat, start, p
 
 @pytest.mark.opencl
 @BUILDS
-@pytest.mark.parametrize(("scheme", "constraints"), [("W2_3m", "HBonds"), ("BAOA", "AllBonds")])
+@pytest.mark.parametrize(("scheme", "constraints"), [("W2_3m", "HBonds"), ("BAOA", "AllBonds"), ("W4_4", "HAngles")])
 def test_inner_steps_compile_for_cuda_and_spill_nothing(scheme, constraints, precision, arch, tmp_path):
     cuda.installed("nvidia/cuda_nvcc/bin/ptxas")
     assert_none_spills(of_flexible(scheme, constraints, precision), arch, precision, tmp_path)

@@ -238,7 +238,6 @@ def test_periodic_bonded_forces_are_named_as_such(kind):
 
 def test_what_is_not_served_is_named():
     _, system, x = peptide()
-    assert "no force-gradient kicks for flexible molecules, which Chin4A needs" in refusal(system, x, scheme="Chin4A")
     system.addForce(tether(0, 9))
     assert "no kernel for the fast force tether, which has global parameters: put" in refusal(system, x, fast="bonded")
     _, hub, _ = peptide()

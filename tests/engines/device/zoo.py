@@ -8,6 +8,7 @@ from openmm import app
 
 import openmm_exactrb as rb
 from on_device import device_platform
+from openmm_exactrb.openmm_access.platforms import DEVICES
 
 _T = 0.1 / 3**0.5
 METHANE = [(0, 0, 0), (_T, _T, _T), (_T, -_T, -_T), (-_T, _T, -_T), (-_T, -_T, _T)]
@@ -73,8 +74,9 @@ def water(n=27, model="tip3p", method=app.CutoffPeriodic):
 
 def context_of(system, positions, integrator, *, precision="double", kelvin=300.0, platform=None):
     """Return a Context of a copy of a System, with bodies at a temperature."""
-    properties = {"Precision": precision}
-    context = openmm.Context(copy.deepcopy(system), integrator, platform or device_platform(), properties)
+    platform = platform or device_platform()
+    properties = {"Precision": precision} if platform.getName() in DEVICES else {}
+    context = openmm.Context(copy.deepcopy(system), integrator, platform, properties)
     context.setPositions(positions)
     context.computeVirtualSites()
     if kelvin is not None:
@@ -88,7 +90,9 @@ def pair(system, positions, make, **options):
         context_of(system, positions, make(engine=engine), kelvin=None, **options) for engine in ("host", "device")
     )
     host.getIntegrator().setVelocitiesToTemperature(300.0, 1)
-    device.setVelocities(host.getState(velocities=True).getVelocities())
+    start = host.getState(positions=True, velocities=True)
+    device.setPositions(start.getPositions())
+    device.setVelocities(start.getVelocities())
     return host, device
 
 

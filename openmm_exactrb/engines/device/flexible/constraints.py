@@ -13,9 +13,11 @@ from openmm_exactrb.support.types import Indices
 
 #: The largest number of outer atoms of a star.
 RAYS = 4
-#: The largest number of orders of the multipliers, the relative size of terms at which a series ends, and the smallest
-#: part of a drift, which is not halved further; see `openmm_exactrb.kernels.compiled.clusters`.
-ORDERS, SETTLED, SHORTEST = 12, 1e-16, 0.5**12
+#: The largest numbers of orders of the multipliers of stars, whose series are in registers, and of other graphs.
+ORDERS, GRAPH_ORDERS = 12, 30
+#: The relative size of terms at which a series ends, and the smallest part of a drift, which is not halved further; see
+#: `openmm_exactrb.kernels.compiled.clusters`.
+SETTLED, SHORTEST = 1e-16, 0.5**12
 
 
 def arrays(blocks: Blocks) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
@@ -45,8 +47,8 @@ def arrays(blocks: Blocks) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         "graphs": np.concatenate(graphs).astype(np.int32),
         "room": np.zeros(room),
     }
-    constants = {"GRAPHS": kinds, "ALL_ATOMS": n, "RAYS": RAYS}
-    return made, constants | {"ORDERS": ORDERS, "SETTLED": SETTLED, "SHORTEST": SHORTEST}
+    constants = {"GRAPHS": kinds, "ALL_ATOMS": n, "RAYS": RAYS, "ORDERS": ORDERS, "GRAPH_ORDERS": GRAPH_ORDERS}
+    return made, constants | {"SETTLED": SETTLED, "SHORTEST": SHORTEST}
 
 
 def _table(graph: Graph, stride: int, first_length: int) -> Indices:
@@ -57,7 +59,7 @@ def _table(graph: Graph, stride: int, first_length: int) -> Indices:
 
 def _room(graph: Graph) -> int:
     """Return the number of elements in the workspace of a cluster, as in kernels/graph.cl."""
-    return (4 * ORDERS + 16) * len(graph.pairs) + len(graph.columns) + 3 * len(graph.inverse)
+    return (4 * GRAPH_ORDERS + 16) * len(graph.pairs) + len(graph.columns) + 3 * len(graph.inverse)
 
 
 def is_star(group: Group) -> bool:

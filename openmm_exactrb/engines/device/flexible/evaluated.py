@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple
 
 from openmm_exactrb.engines.device.flexible.inner import InnerSteps
-from openmm_exactrb.moves import Move, Op
+from openmm_exactrb.engines.device.segments import ALL
+from openmm_exactrb.moves import Move, Op, of_substep
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.sequence import Sequence, merged, repeated
 from openmm_exactrb.substeps import DRIFT, KICK, Drift, Substep
@@ -30,6 +31,19 @@ class GroupsKick(Substep):
     def device_moves(self, part: float) -> tuple[Move, ...]:
         """Return the move of the kick."""
         return (Move(Op.KICK, part, groups=self.groups),)
+
+
+@dataclass(frozen=True)
+class OfGroups(Substep):
+    """A substep that uses the forces of several force groups, given as a bit mask, in place of all forces."""
+
+    substep: Substep
+    groups: int
+
+    def device_moves(self, part: float) -> tuple[Move, ...]:
+        """Return the moves of the substep."""
+        moves = of_substep(self.substep, part)
+        return tuple(replace(move, groups=self.groups) if move.groups == ALL else move for move in moves)
 
 
 class Evaluated(NamedTuple):
@@ -78,7 +92,9 @@ class Evaluated(NamedTuple):
         fast, slow = GroupsKick(self.groups), GroupsKick(self.slow)
         for substep, part in sequence:
             if not isinstance(substep, Drift):
-                yield slow if substep == KICK else substep, part
+                all_forces = any(move.groups == ALL for move in of_substep(substep, part))
+                other = OfGroups(substep, self.slow) if all_forces else substep
+                yield slow if substep == KICK else other, part
                 continue
             n = self.inner.repetitions(part)
             for inner, of_inner in repeated(self.inner.sequence, n):

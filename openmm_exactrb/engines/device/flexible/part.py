@@ -26,6 +26,7 @@ THREADS = 256
 # Bits for the actions of a launch in addition to its moves, as in kernels/layout.cl.
 _MOVES, _PLACES, _PROJECTS, _SHOWS = 1, 2, 4, 8
 _CONTEXT = ("posq", "posqCorrection", "velm", "force", "places", "box")
+_FORCES = ("memory", "differences", "here", "push")
 _ATOMS = ("atoms", "bodies", "inverse")
 _TABLES = ("blocks", "block_atoms", "clusters", "lengths", "graphs", "room", "members", "constants", "exact")
 
@@ -89,21 +90,35 @@ class FlexiblePart:
                 to.array(name, 3 * self.n, demands.state_element, saved=True)
         for name in ("y", "z"):
             to.array(f"{self._prefix}{name}", 3 * self.n * self._open, demands.state_element)
-        to.array(f"{self._prefix}memory", 3 * self.n * self._demands.memory[0], saved=True)
+        to.array(f"{self._prefix}memory", 3 * self.n * demands.memory[0], saved=True)
+        to.array(f"{self._prefix}differences", 3 * self.n * demands.differences[0], saved=True)
+        to.array(f"{self._prefix}here", 3 * self.n * demands.displaces)
+        for name in ("push", "there"):
+            to.array(f"{self._prefix}{name}", 3 * self.n * demands.displaces, demands.state_element)
         to.array(f"{self._prefix}kinetic", 3 * GROUPS)
 
     def launches(self, segment: Segment, table: Table) -> list[Operation]:
-        """Return the launches of a segment: a single launch, or one for each drift if blocks share terms."""
+        """Return the launches of a segment: a single launch, or one for each drift if blocks share terms.
+
+        A displacement ends a segment without drifts. A kick at displaced positions begins a segment, and has a launch
+        of its own.
+        """
         moves = moves_of(segment, self._molecules.inner)
         x, v = self.state(segment.copied)
+        displaced, made = f"{self._prefix}there", list[Operation]()
+        if segment.has(Op.DISPLACE):
+            return [self._launch(table.rows(moves), _MOVES | _PLACES, (x, displaced, v))]
+        returns = segment.has(Op.DISPLACED_KICK)
+        if returns:
+            made.append(self._launch(table.rows(moves[:1]), 0, (displaced, displaced, v)))
+            moves = moves[1:]
         parts = (self._open and up_to_drifts(moves)) or [moves]
         last_drift = max((k for k, part in enumerate(parts) if _drifts(part)), default=-1)
-        made: list[Operation] = []
         here = x
         for k, part in enumerate(parts):
             last = k == len(parts) - 1
             there = self._next(here, x, k == last_drift) if self._open and _drifts(part) else here
-            what = _MOVES * _drifts(part) | _PLACES * (k == last_drift or (segment.places and last))
+            what = _MOVES * _drifts(part) | _PLACES * (k == last_drift or ((segment.places or returns) and last))
             what |= (_PROJECTS | _SHOWS) * (segment.shows and last)
             made.append(self._launch(table.rows(part), what, (here, there, v)))
             here = there
@@ -122,7 +137,7 @@ class FlexiblePart:
         arguments: tuple[str | int, ...] = (
             *_CONTEXT,
             *state,
-            *(f"{self._prefix}{name}" for name in ("memory", *_ATOMS, *_TABLES)),
+            *(f"{self._prefix}{name}" for name in (*_FORCES, *_ATOMS, *_TABLES)),
             *(Table.MOVES, Table.NUMBERS, "factors", *rows, what, "#step", "$key", "$turn"),
         )
         return Launch(self._source, "inner_steps", THREADS * len(self.blocks), arguments, THREADS)

@@ -21,15 +21,16 @@ typedef struct {
 // factor, the right-hand side of a linear system, vectors for each constraint, and a sum for each atom.
 #define PART(place) g->room[(place)*g->stride]
 #define R(k, c, e) PART(3*((k)*g->constraints+(c))+(e))
-#define MULTIPLIER(k, c) PART((3*(ORDERS+2)+(k))*g->constraints+(c))
-#define B(c) PART((4*ORDERS+6)*g->constraints+(c))
-#define VECTOR(which, c, e) PART((4*ORDERS+7+3*(which))*g->constraints+3*(c)+(e))
-#define FACTOR(e) PART((4*ORDERS+16)*g->constraints+(e))
-#define ON_ATOM(i, e) PART((4*ORDERS+16)*g->constraints+g->entries+3*(i)+(e))
+#define MULTIPLIER(k, c) PART((3*(GRAPH_ORDERS+2)+(k))*g->constraints+(c))
+#define B(c) PART((4*GRAPH_ORDERS+6)*g->constraints+(c))
+#define VECTOR(which, c, e) PART((4*GRAPH_ORDERS+7+3*(which))*g->constraints+3*(c)+(e))
+#define FACTOR(e) PART((4*GRAPH_ORDERS+16)*g->constraints+(e))
+#define ON_ATOM(i, e) PART((4*GRAPH_ORDERS+16)*g->constraints+g->entries+3*(i)+(e))
 enum { FORCE, PUSH, SHIFT };
 
 #define PRODUCT(c, d) (R(0, c, 0)*R(0, d, 0)+R(0, c, 1)*R(0, d, 1)+R(0, c, 2)*R(0, d, 2))
 #define RELATIVE(c, e) (g->inverse[FIRST(c)]*ON_ATOM(FIRST(c), e)-g->inverse[SECOND(c)]*ON_ATOM(SECOND(c), e))
+#define LARGER(a, b) ((b) > (a) ? (b) : (a))
 #define X(i, e) xs[3*(at+(i))+(e)]
 #define V(i, e) v[3*(first+(i))+(e)]
 
@@ -119,11 +120,11 @@ DEVICE inline void move_graph(double t, GLOBAL const int* cluster, int at, GLOBA
             VECTOR(SHIFT, c, e) = B(c)*R(0, c, e);
             VECTOR(PUSH, c, e) = 0.0;
             R(1, c, e) = time*(V(FIRST(c), e)-V(SECOND(c), e));
-            bound = fmax(bound, SETTLED*fabs(R(1, c, e)));
+            bound = LARGER(bound, SETTLED*fabs(R(1, c, e)));
         }
         int small = 0;
-        for (int k = 0; k < ORDERS && small < 2; k++) {
-            const double order = (k+1)*(k+2);
+        for (int k = 0; k < GRAPH_ORDERS && small < 2; k++) {
+            const double order = (k+1)*(k+2), over_order = 1.0/order, of_push = 1.0/(time*(k+1));
             EACH_CONSTRAINT {
                 double q = 0.0;
                 for (int j = 1; j < (k+3)/2; j++)
@@ -145,10 +146,10 @@ DEVICE inline void move_graph(double t, GLOBAL const int* cluster, int at, GLOBA
             gather(g, FORCE);
             double largest = 0.0;
             EACH_CONSTRAINT EACH_AXIS {
-                R(k+2, c, e) = RELATIVE(c, e)/order;
-                largest = fmax(largest, (k+2)*fabs(R(k+2, c, e)));
-                VECTOR(PUSH, c, e) += VECTOR(FORCE, c, e)/(time*(k+1));
-                VECTOR(SHIFT, c, e) += VECTOR(FORCE, c, e)/order;
+                R(k+2, c, e) = RELATIVE(c, e)*over_order;
+                largest = LARGER(largest, (k+2)*fabs(R(k+2, c, e)));
+                VECTOR(PUSH, c, e) += VECTOR(FORCE, c, e)*of_push;
+                VECTOR(SHIFT, c, e) += VECTOR(FORCE, c, e)*over_order;
             }
             small = largest <= bound ? small+1 : 0;
         }
@@ -182,5 +183,6 @@ DEVICE inline void move_graph(double t, GLOBAL const int* cluster, int at, GLOBA
 #undef ON_ATOM
 #undef PRODUCT
 #undef RELATIVE
+#undef LARGER
 #undef X
 #undef V

@@ -7,16 +7,29 @@
 // are OpenMM's forces minus the fast forces. If no blocks share terms, a launch performs all moves of a segment.
 // Otherwise a launch ends with the first drift, and writes positions to another array, so that no block reads new
 // positions of another block.
+//
+// A force-gradient kick takes two launches with an evaluation of the forces between them. The first ends with a
+// displacement: the atoms move from rest along the geodesic of e times the slow force, and the launch writes the new
+// positions to a separate array. The second launch reads these positions, and kicks by the slow force there, which it
+// projects onto the constraints. `here` contains the slow accelerations before the displacement, and `push` the velocities
+// of the displacement and then the projected accelerations.
 
 #define OF_MOVE(k, column) moves[MOVE_ROW*(k)+column]
 #define TAU(k) numbers[OF_MOVE(k, FIRST_NUMBER)]
+#define MOVES_CLUSTERS(op) (op == DRIFT || (GRADIENTS && (op == DISPLACE || op == DISPLACED_KICK)))
 #define OF_KIND(kind, all) terms_of_kind(row, kind, all, &before)
 #define OF_BLOCK xs, sums, &broken, own
 
-// Perform the moves from `first` to `last` - 1 of an atom: kicks and heat exchanges.
+// Return the index of stored accelerations, of which `size` are stored in turn.
+DEVICE inline int stored(mm_long number, int size) {
+    return 3*ALL_ATOMS*(int) ((number+size)%size);
+}
+
+// Perform the moves from `first` to `last` - 1 of an atom: kicks, heat exchanges, and the preparation of displacements and
+// of kicks at displaced positions.
 DEVICE inline void move_atom(int atom, int first, int last, GLOBAL const int* moves, GLOBAL const double* numbers, LOCAL_ARG const term_sum* sum,
         GLOBAL const component* force, int slot, int body, int flexible, double inverse, GLOBAL const double* factors, mm_long key, mm_long step, mm_long turns,
-        GLOBAL double* memory, GLOBAL number* v) {
+        GLOBAL double* memory, GLOBAL const double* differences, GLOBAL double* here, GLOBAL number* push, GLOBAL number* v) {
     const int fade = flexible ? FADE_OF_FLEXIBLE : FADE;
     number V[3];
     double fast[3], slow[3], n[4];
@@ -50,12 +63,26 @@ DEVICE inline void move_atom(int atom, int first, int last, GLOBAL const int* mo
             break;
         case REMEMBER:
             for (int e = 0; e < 3; e++)
-                memory[3*((int) ((turns*PER_STEP+which)%MEMORY)*ALL_ATOMS+atom)+e] = slow[e];
+                memory[stored(turns*PER_STEP+which, MEMORY)+3*atom+e] = slow[e];
             break;
-        case LAST_KICK:
-            for (int w = 0; w < OF_MOVE(k, NUMBERS_OF_MOVE); w++)
+        case LAST_KICK: // `which` weights of forces, and then weights of differences
+            for (int w = 0; w < OF_MOVE(k, NUMBERS_OF_MOVE); w++) {
+                GLOBAL const double* from = memory+stored(turns*PER_STEP-1-w, MEMORY);
+                if (KEEPS_DIFFERENCES && w >= which)
+                    from = differences+stored(turns*DIFFERENCES_PER_STEP-1-(w-which), DIFFERENCES);
                 for (int e = 0; e < 3; e++)
-                    V[e] += of_move[w]*memory[3*((int) ((turns*PER_STEP-1-w+MEMORY)%MEMORY)*ALL_ATOMS+atom)+e];
+                    V[e] += of_move[w]*from[3*atom+e];
+            }
+            break;
+        case DISPLACE:
+            for (int e = 0; e < 3; e++) {
+                here[3*atom+e] = slow[e];
+                push[3*atom+e] = of_move[0]*slow[e];
+            }
+            break;
+        case DISPLACED_KICK:
+            for (int e = 0; e < 3; e++)
+                push[3*atom+e] = slow[e];
             break;
         }
     }
@@ -65,6 +92,7 @@ DEVICE inline void move_atom(int atom, int first, int last, GLOBAL const int* mo
 
 KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL mixed4* velm, GLOBAL const component* force,
         GLOBAL const int4* places, GLOBAL const double* box, GLOBAL const number* x, GLOBAL number* y, GLOBAL number* v, GLOBAL double* memory,
+        GLOBAL double* differences, GLOBAL double* here, GLOBAL number* push,
         GLOBAL const int* atoms, GLOBAL const int* bodies, GLOBAL const double* inverse, GLOBAL const int* blocks, GLOBAL const int* block_atoms,
         GLOBAL const int* clusters, GLOBAL const double* lengths, GLOBAL const int* graphs, GLOBAL double* room, GLOBAL const int* members,
         GLOBAL const fine* constants, GLOBAL const double* exact, GLOBAL const int* moves, GLOBAL const double* numbers, GLOBAL const double* factors,
@@ -80,14 +108,16 @@ KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL
         SYNC_THREADS
         for (int begin = first_move, stop = begin; begin < end || (begin == first_move && what & PROJECTS); begin = stop+1) {
             bool kicks = false;
-            for (stop = begin; stop < end && OF_MOVE(stop, OP) != DRIFT; stop++)
+            for (stop = begin; stop < end && !MOVES_CLUSTERS(OF_MOVE(stop, OP)); stop++)
                 kicks = kicks || OF_MOVE(stop, OP) == FAST_KICK || OF_MOVE(stop, OP) == KICK || OF_MOVE(stop, OP) == REMEMBER;
+            const int op = stop < end ? OF_MOVE(stop, OP) : DRIFT;
+            const bool by_force = op != DRIFT;
             for (int i = LOCAL_ID; i < 3*own; i += LOCAL_SIZE)
                 sums[i] = 0;
             if (LOCAL_ID == 0)
                 broken = 0;
             SYNC_THREADS
-            if (kicks) {
+            if (kicks || by_force) {
                 int before = 0;
                 const Terms bonds = OF_KIND(0, BONDS), angles = OF_KIND(1, ANGLES), torsions = OF_KIND(2, TORSIONS), pairs = OF_KIND(3, PAIRS);
                 const Terms impropers = OF_KIND(4, IMPROPERS), maps = OF_KIND(5, MAPS);
@@ -101,27 +131,35 @@ KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL
             }
             for (int i = LOCAL_ID; i < own; i += LOCAL_SIZE) {
                 const int atom = first_atom+i;
-                move_atom(atom, begin, stop, moves, numbers, sums+3*i, force, places[atoms[atom]].x, bodies[atom], bodies[ALL_ATOMS+atom], inverse[atom], factors, (mm_long) key,
-                    step, (mm_long) turns, memory, v);
+                move_atom(atom, begin, stop+by_force, moves, numbers, sums+3*i, force, places[atoms[atom]].x, bodies[atom], bodies[ALL_ATOMS+atom], inverse[atom], factors, (mm_long) key,
+                    step, (mm_long) turns, memory, differences, here, push, v);
             }
             SYNC_THREADS
             // After the last drift, velocities need a projection only if they are read (PROJECTS).
             if (stop < end || what & PROJECTS) {
-                const double t = stop < end ? TAU(stop) : 0.0;
+                const double t = stop == end || op == DISPLACED_KICK ? 0.0 : op == DISPLACE ? 1.0 : TAU(stop);
+                GLOBAL number* rates = by_force ? push : v;
                 for (int done = 0; done < row[CLUSTERS]; done += LOCAL_SIZE/TEAM) {
                     const int c = done+(int) (LOCAL_ID/TEAM);
                     const bool idle = c >= row[CLUSTERS];
                     GLOBAL const int* cluster = clusters+CLUSTER_ROW*(row[FIRST_CLUSTER]+(idle ? 0 : c));
                     const int at = cluster[FIRST_ATOM]-first_atom;
-                    move_star(idle, t, cluster, at, inverse, lengths, xs, v);
+                    move_star(idle, t, cluster, at, inverse, lengths, xs, rates);
                     if (GRAPHS > 0 && !idle && cluster[GRAPH] >= 0 && LOCAL_ID%TEAM == 0)
-                        move_graph(t, cluster, at, graphs, inverse, lengths, room, xs, v);
+                        move_graph(t, cluster, at, graphs, inverse, lengths, room, xs, rates);
                 }
             }
             SYNC_THREADS
             if (broken)
                 for (int i = LOCAL_ID; i < own; i += LOCAL_SIZE)
                     v[3*(first_atom+i)] = xs[3*i] = NOT_A_NUMBER;
+            SYNC_THREADS
+            if (GRADIENTS && op == DISPLACED_KICK)
+                for (int i = 3*first_atom+LOCAL_ID; i < 3*(first_atom+own); i += LOCAL_SIZE) {
+                    v[i] += TAU(stop)*push[i];
+                    if (KEEPS_DIFFERENCES)
+                        differences[stored((mm_long) turns*DIFFERENCES_PER_STEP+(OF_MOVE(stop, NUMBER_OF_MOVE) & 0xffff), DIFFERENCES)+i] = push[i]-here[i];
+                }
             SYNC_THREADS
         }
         for (int i = LOCAL_ID; i < own; i += LOCAL_SIZE) {

@@ -4,7 +4,7 @@ typedef FINE fine;
 #define NOT_A_NUMBER (0.0/0.0)
 
 // The kinds of moves in openmm_exactrb.moves, and the columns of the table of moves.
-enum { DRIFT = 0, KICK = 1, EXCHANGE = 2, LAST_KICK = 3, REMEMBER = 4, FAST_KICK = 7 };
+enum { DRIFT = 0, KICK = 1, EXCHANGE = 2, LAST_KICK = 3, REMEMBER = 4, DISPLACE = 5, DISPLACED_KICK = 6, FAST_KICK = 7 };
 enum { OP, NUMBER_OF_MOVE, FIRST_NUMBER, NUMBERS_OF_MOVE, MOVE_ROW };
 // Indices of the friction factor of translation among the numbers of a heat exchange, for isolated bodies and for
 // bodies in flexible molecules. The amplitude of the noise follows each factor.
