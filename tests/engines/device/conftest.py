@@ -2,6 +2,8 @@ import locale
 
 import pytest
 
+from on_device import REFERENCE, device_platform
+
 
 @pytest.fixture(autouse=True)
 def _same_locale():
@@ -9,3 +11,9 @@ def _same_locale():
     before = locale.setlocale(locale.LC_ALL)
     yield
     locale.setlocale(locale.LC_ALL, before)
+
+
+@pytest.fixture(params=[pytest.param("device", marks=pytest.mark.opencl), "Reference"])
+def where(request):
+    """Return the name of a place where the engine runs, and the platform there."""
+    return request.param, device_platform() if request.param == "device" else REFERENCE

@@ -7,20 +7,14 @@ from test_flexible_molecules_on_device import nested, tether
 from zoo import apart, held, pair
 
 import openmm_exactrb as rb
-from on_device import REFERENCE, device_platform
+from on_device import device_platform
 from openmm_exactrb.engines.device.flexible import blocks
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.substeps import DRIFT, GradientKick
 from peptides import in_water, peptide, violations
 
-#: The tolerance (nm) on each platform: OpenCL sums forces in fixed point, and force gradients multiply their rounding.
+# The tolerance (nm) on each platform: OpenCL sums forces in fixed point, and force gradients multiply their rounding.
 TOLERANCES = {"device": 2e-12, "Reference": 1e-14}
-
-
-@pytest.fixture(params=[pytest.param("device", marks=pytest.mark.opencl), "Reference"])
-def where(request):
-    """Return the name of a place, and the platform there."""
-    return request.param, device_platform() if request.param == "device" else REFERENCE
 
 
 def assert_as_on_host(start, make, where, n=20):

@@ -20,12 +20,13 @@ ORDERS, GRAPH_ORDERS = 12, 30
 SETTLED, SHORTEST = 1e-16, 0.5**12
 
 
-def arrays(blocks: Blocks) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+def arrays(blocks: Blocks, shared: bool = False) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     """Return the kernel's arrays of clusters by name, and the constants with which the kernel is compiled.
 
     "clusters" contains a row for each cluster: its first atom, its number of atoms, the start of the table of its graph
     in "graphs", or -1 for a star, and the start of its workspace in "room". "lengths" contains the length of the
-    constraint of each atom of a star, and then the lengths and weights of each graph.
+    constraint of each atom of a star, and then the lengths and weights of each graph. "room" is empty if the clusters of
+    a thread have a `shared` workspace, as on processors.
     """
     n, room, kinds = len(blocks.particles), 0, 0
     table = np.stack([blocks.starts, blocks.sizes, *np.full((2, len(blocks.starts)), -1)], axis=1)
@@ -38,14 +39,14 @@ def arrays(blocks: Blocks) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
             numbers[0][blocks.starts[clusters][:, None] + graph.pairs[:, 1]] = graph.lengths
             continue
         table[clusters, 2], table[clusters, 3] = sum(map(len, graphs)), room + np.arange(count)
-        graphs.append(_table(graph, count, sum(map(len, numbers))))
+        graphs.append(_table(graph, 1 if shared else count, sum(map(len, numbers))))
         numbers += [graph.lengths, graph.weights]
         room, kinds = room + count * _room(graph), kinds + 1
     made: dict[str, NDArray[Any]] = {
         "clusters": table.astype(np.int32),
         "lengths": np.concatenate(numbers),
         "graphs": np.concatenate(graphs).astype(np.int32),
-        "room": np.zeros(room),
+        "room": np.zeros(0 if shared else room),
     }
     constants = {"GRAPHS": kinds, "ALL_ATOMS": n, "RAYS": RAYS, "ORDERS": ORDERS, "GRAPH_ORDERS": GRAPH_ORDERS}
     return made, constants | {"SETTLED": SETTLED, "SHORTEST": SHORTEST}

@@ -57,7 +57,7 @@ class FlexiblePart:
         terms = tables.particles(molecules.terms)
         self.blocks = blocks_of(molecules.groups, terms, len(molecules.masses), divides=not demands.pairs)
         self._precision, self._masses, self._body_of = precision, molecules.masses, molecules.body_of
-        self._of_clusters, of_clusters = constraints.arrays(self.blocks)
+        self._of_clusters, of_clusters = constraints.arrays(self.blocks, shared=demands.pairs)
         self._of_terms, of_terms = tables.arrays(molecules.terms, self.blocks, precision)
         self.n = len(self.blocks.particles)
         self.columns = self._body_of[self.blocks.particles]

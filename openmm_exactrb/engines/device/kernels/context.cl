@@ -6,15 +6,29 @@
 // quaternion with its low parts.
 typedef double number;
 #define TIMES_LOW_PARTS(q) 0.0
+#define LOW_PARTS 0
 // The type of a component of a force.
 typedef mm_long component;
 #define LOCAL_ARRAY(type, name, size) LOCAL type name[size]
+// The workspace of a cluster; on processors, each thread has one workspace for all of its clusters.
+#define WORKSPACE(room, place, size) ((room)+(place))
 // The ranges of `for` over the indices of a thread, and over those of a block of threads.
 #define OF_THREAD(i, n) int i = GLOBAL_ID; i < (n); i += GLOBAL_SIZE
 #define OF_GROUP(i, n) int i = GROUP_ID; i < (n); i += GLOBAL_SIZE/LOCAL_SIZE
 
 // Unroll a loop, so that indices are constant and the compiler can keep arrays in registers.
 #define EACH(k, n) _Pragma("unroll") for (int k = 0; k < n; k++)
+
+// Return the difference of two numbers of the state, and write the rounding error of the result to `rest`.
+DEVICE inline double apart(number a, number b, double* rest) {
+    *rest = 0.0;
+    return a-b;
+}
+
+// Return (d*d-r.r)/2 for a vector r with rounding errors `rest`.
+DEVICE inline double half_defect(double d, const double* r, const double* rest) {
+    return 0.5*(d*d-(r[0]*r[0]+r[1]*r[1]+r[2]*r[2]));
+}
 
 DEVICE inline void cell_of(int4 place, GLOBAL const double* box, double* shift) {
     EACH(k, 3)

@@ -1,7 +1,7 @@
 // Free motion of a cluster with any constraint graph, by the series of openmm_exactrb.kernels.compiled.clusters and the
 // sparse Cholesky factor of openmm_exactrb.mechanics.elimination. One thread moves a cluster. All clusters with the same
-// graph share its tables. The workspace of a cluster is in global memory, in which the values of one quantity for all
-// clusters with the same graph are contiguous.
+// graph share its tables. On devices, the workspace of a cluster is in global memory, in which the values of one quantity
+// for all clusters with the same graph are contiguous.
 
 // The atoms of a cluster, its graph (openmm_exactrb.kernels.records.Graph), and its workspace.
 typedef struct {
@@ -51,7 +51,7 @@ DEVICE inline Graph graph_of(GLOBAL const int* cluster, GLOBAL const int* graphs
     g.inverse = inverse+cluster[FIRST_ATOM];
     g.lengths = lengths+head[FIRST_LENGTH];
     g.weights = g.lengths+g.constraints;
-    g.room = room+cluster[ROOM];
+    g.room = WORKSPACE(room, cluster[ROOM], (4*GRAPH_ORDERS+16)*g.constraints+g.entries+3*g.atoms);
     return g;
 }
 
@@ -69,14 +69,16 @@ DEVICE inline void factorise(const Graph* g) {
 // Solve the linear system for the right-hand side B, in place.
 DEVICE inline void solve(const Graph* g) {
     EACH_CONSTRAINT {
+        double b = B(c);
         for (int e = g->rows[c]; e < DIAGONAL(c); e++)
-            B(c) -= FACTOR(e)*B(g->columns[e]);
-        B(c) *= FACTOR(DIAGONAL(c));
+            b -= FACTOR(e)*B(g->columns[e]);
+        B(c) = b*FACTOR(DIAGONAL(c));
     }
     for (int c = g->constraints-1; c >= 0; c--) {
-        B(c) *= FACTOR(DIAGONAL(c));
+        const double b = B(c)*FACTOR(DIAGONAL(c));
+        B(c) = b;
         for (int e = g->rows[c]; e < DIAGONAL(c); e++)
-            B(g->columns[e]) -= FACTOR(e)*B(c);
+            B(g->columns[e]) -= FACTOR(e)*b;
     }
 }
 
@@ -89,6 +91,24 @@ DEVICE inline void gather(const Graph* g, int which) {
     }
 }
 
+// Correct the changes of the momenta, in ON_ATOM, so that rounding does not change the kinetic energy; see
+// openmm_exactrb.kernels.compiled.clusters. `v` begins with the first atom.
+DEVICE inline void keep_energy_of_graph(const Graph* g, GLOBAL const number* v) {
+    double mass = 0.0, centre[3] = {0.0, 0.0, 0.0}, gained = 0.0, energy = 0.0;
+    EACH_ATOM {
+        mass += 1.0/g->inverse[i];
+        EACH_AXIS centre[e] += v[3*i+e]/g->inverse[i];
+    }
+    EACH_AXIS centre[e] /= mass;
+    EACH_ATOM EACH_AXIS {
+        const double before = v[3*i+e]-centre[e], after = before+g->inverse[i]*ON_ATOM(i, e);
+        gained += ON_ATOM(i, e)*(before+after);
+        energy += after*after/g->inverse[i];
+    }
+    const double excess = energy > 0.0 ? 0.5*gained/energy : 0.0;
+    EACH_ATOM EACH_AXIS ON_ATOM(i, e) -= excess*((v[3*i+e]-centre[e])/g->inverse[i]+ON_ATOM(i, e));
+}
+
 // Advance a cluster by t (ps). For t = 0, only project the velocities, which removes components along constraints. The
 // first atom has the index `at` in the block.
 DEVICE inline void move_graph(double t, GLOBAL const int* cluster, int at, GLOBAL const int* graphs, GLOBAL const double* inverse,
@@ -97,11 +117,13 @@ DEVICE inline void move_graph(double t, GLOBAL const int* cluster, int at, GLOBA
     const int first = cluster[FIRST_ATOM];
     double part = 1.0, remaining = 1.0;
     while (remaining > 0.0) {
-        EACH_CONSTRAINT EACH_AXIS R(0, c, e) = X(FIRST(c), e)-X(SECOND(c), e);
+        double rest[3];
+        EACH_CONSTRAINT EACH_AXIS R(0, c, e) = apart(X(FIRST(c), e), X(SECOND(c), e), rest+e);
         factorise(g);
         EACH_CONSTRAINT {
-            B(c) = 0.0;
-            EACH_AXIS B(c) -= R(0, c, e)*(V(FIRST(c), e)-V(SECOND(c), e));
+            double b = 0.0;
+            EACH_AXIS b -= R(0, c, e)*(V(FIRST(c), e)-V(SECOND(c), e));
+            B(c) = b;
         }
         solve(g);
         EACH_CONSTRAINT EACH_AXIS {
@@ -114,7 +136,11 @@ DEVICE inline void move_graph(double t, GLOBAL const int* cluster, int at, GLOBA
         // Correct the rounding errors of the lengths, then compute the series.
         const double time = part*t;
         double bound = 0.0;
-        EACH_CONSTRAINT B(c) = 0.5*(g->lengths[c]*g->lengths[c]-PRODUCT(c, c));
+        EACH_CONSTRAINT {
+            double r[3];
+            EACH_AXIS r[e] = apart(X(FIRST(c), e), X(SECOND(c), e), rest+e);
+            B(c) = half_defect(g->lengths[c], r, rest);
+        }
         solve(g);
         EACH_CONSTRAINT EACH_AXIS {
             VECTOR(SHIFT, c, e) = B(c)*R(0, c, e);
@@ -132,12 +158,13 @@ DEVICE inline void move_graph(double t, GLOBAL const int* cluster, int at, GLOBA
                 if (k%2 == 0)
                     EACH_AXIS q += 0.5*R(k/2+1, c, e)*R(k/2+1, c, e);
                 B(c) = -order*q;
-                EACH_AXIS VECTOR(FORCE, c, e) = 0.0;
+                double force[3] = {0.0, 0.0, 0.0};
                 for (int j = 0; j < k; j++)
-                    EACH_AXIS VECTOR(FORCE, c, e) += MULTIPLIER(j, c)*R(k-j, c, e);
+                    EACH_AXIS force[e] += MULTIPLIER(j, c)*R(k-j, c, e);
+                EACH_AXIS VECTOR(FORCE, c, e) = force[e];
             }
             gather(g, FORCE);
-            EACH_CONSTRAINT EACH_AXIS B(c) -= R(0, c, e)*RELATIVE(c, e);
+            EACH_CONSTRAINT B(c) -= R(0, c, 0)*RELATIVE(c, 0)+R(0, c, 1)*RELATIVE(c, 1)+R(0, c, 2)*RELATIVE(c, 2);
             solve(g);
             EACH_CONSTRAINT {
                 MULTIPLIER(k, c) = B(c);
@@ -157,6 +184,8 @@ DEVICE inline void move_graph(double t, GLOBAL const int* cluster, int at, GLOBA
             gather(g, SHIFT);
             EACH_ATOM EACH_AXIS X(i, e) += time*V(i, e)+g->inverse[i]*ON_ATOM(i, e);
             gather(g, PUSH);
+            if (LOW_PARTS)
+                keep_energy_of_graph(g, v+3*first);
             EACH_ATOM EACH_AXIS V(i, e) += g->inverse[i]*ON_ATOM(i, e);
             remaining -= part;
         }

@@ -75,6 +75,42 @@ DEVICE inline void invert(double w, const double* K, double* inverse) {
     inverse[5] = over*(a*d-b*b);
 }
 
+// Correct the changes of the momenta of a star, push0 and minus `push`, so that rounding does not change the kinetic
+// energy; see openmm_exactrb.kernels.compiled.clusters.
+DEVICE inline void keep_energy_of_star(double w0, const number* V0, double* push0, const double* w, const number (*V)[HELD], double (*push)[HELD],
+        const bool* holds) {
+    double told[4][HELD], s[4], centre[3];
+    EACH_CONSTRAINT {
+        told[3][c] = holds[c] ? 1.0/w[c] : 0.0;
+        EACH_AXIS
+            told[e][c] = told[3][c]*V[e][c];
+    }
+    team_sum(told, s, 4);
+    EACH_AXIS
+        centre[e] = (s[e]+V0[e]/w0)/(s[3]+1.0/w0);
+    EACH_CONSTRAINT {
+        const double m = told[3][c];
+        told[0][c] = told[1][c] = 0.0;
+        EACH_AXIS {
+            const double before = V[e][c]-centre[e], after = before-w[c]*push[e][c];
+            told[0][c] -= push[e][c]*(before+after);
+            told[1][c] += m*after*after;
+        }
+    }
+    team_sum(told, s, 2);
+    EACH_AXIS {
+        const double before = V0[e]-centre[e], after = before+w0*push0[e];
+        s[0] += push0[e]*(before+after);
+        s[1] += after*after/w0;
+    }
+    const double excess = s[1] > 0.0 ? 0.5*s[0]/s[1] : 0.0;
+    EACH_AXIS {
+        push0[e] -= excess*((V0[e]-centre[e])/w0+push0[e]);
+        EACH_CONSTRAINT
+            push[e][c] -= excess*(push[e][c]-(holds[c] ? (V[e][c]-centre[e])/w[c] : 0.0));
+    }
+}
+
 // Advance a cluster by t (ps) if it is a star. For t = 0, only project the velocities, which removes components along
 // constraints. The first atom has the index `at` in the block. A thread without a cluster is `idle`, but participates
 // in shuffles.
@@ -105,11 +141,12 @@ DEVICE inline void move_star(bool idle, double t, GLOBAL const int* cluster, int
     while (ANY(remaining > 0.0)) {
         double r[ORDERS+2][3][HELD], multiplier[ORDERS][HELD], over[HELD], b[HELD], away[HELD], told[6][HELD], K[6], inverse[6], s[6], g[3];
         EACH_CONSTRAINT {
+            double between[3], rest[3];
             EACH_AXIS
-                r[0][e][c] = X0[e]-X[e][c];
+                between[e] = r[0][e][c] = apart(X0[e], X[e][c], rest+e);
             const double square = ALONG(r[0], r[0], c);
             over[c] = holds[c] ? 1.0/(w[c]*square) : 0.0;
-            away[c] = 0.5*(length[c]*length[c]-square);
+            away[c] = holds[c] ? half_defect(length[c], between, rest) : 0.0;
             told[0][c] = over[c]*r[0][0][c]*r[0][0][c];
             told[1][c] = over[c]*r[0][0][c]*r[0][1][c];
             told[2][c] = over[c]*r[0][0][c]*r[0][2][c];
@@ -206,6 +243,8 @@ DEVICE inline void move_star(bool idle, double t, GLOBAL const int* cluster, int
             small = team_max(largest) <= bound ? small+1 : small < 2 ? 0 : small;
         }
         if (remaining > 0.0 && small >= 2) {
+            if (LOW_PARTS && atoms > 1)
+                keep_energy_of_star(w0, V0, push0, w, V, push, holds);
             EACH_AXIS {
                 X0[e] += time*V0[e]+w0*shift0[e];
                 V0[e] += w0*push0[e];

@@ -25,7 +25,9 @@
 #define OF_THREAD(i, n) int i = begin_of(thread, n); i < begin_of(thread+1, n); i++
 #define OF_GROUP(i, n) OF_THREAD(i, n)
 #define LOCAL_ARRAY(type, name, size) type* const name = sized(room_of_##name, size)
+#define WORKSPACE(room, place, size) sized(room_of_clusters, size)
 #define HIGH_PRODUCT(a, b) high_product(a, b)
+#define LOW_PARTS 1
 #define TIMES_LOW_PARTS(q) low_parts_along(q)
 
 namespace exactrb {
@@ -69,6 +71,28 @@ struct number {
 
 inline double low_parts_along(const number* q) {
     return q[0].high*q[0].low+q[1].high*q[1].low+q[2].high*q[2].low+q[3].high*q[3].low;
+}
+
+// The difference of two numbers, and the rounding error of the result.
+inline double apart(const number& a, const number& b, double* rest) {
+    const double high = a.high-b.high, shadow = a.high-high, error = (a.high-(high+shadow))+(shadow-b.high);
+    const double low = error+(a.low-b.low), sum = high+low;
+    *rest = low-(sum-high);
+    return sum;
+}
+
+// (d*d-r.r)/2, with an error of 1e-8 times the rounding error of d*d: numbers are divided into multiples of d/2^26 or
+// so, whose squares are exact, and remainders.
+inline double half_defect(double d, const double* r, const double* rest) {
+    const double to_grid = std::ldexp(1.5, 27+std::ilogb(d)), coarse = (d+to_grid)-to_grid;
+    double near[3], defect = coarse*coarse;
+    EACH(e, 3) {
+        near[e] = (r[e]+to_grid)-to_grid;
+        defect -= near[e]*near[e];
+    }
+    EACH(e, 3)
+        defect -= (r[e]-near[e])*(r[e]+near[e])+2.0*r[e]*rest[e];
+    return 0.5*(defect+(d-coarse)*(d+coarse));
 }
 
 inline mm_ulong high_product(mm_ulong a, mm_ulong b) {

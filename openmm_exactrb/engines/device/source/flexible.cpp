@@ -24,7 +24,7 @@ struct Flexible : Thread {
         STILL = exactrb::real(constants, "STILL"), LIGHT = exactrb::real(constants, "LIGHT");
     }
     std::vector<number> room_of_xs;
-    std::vector<double> room_of_sums;
+    std::vector<double> room_of_sums, room_of_clusters;
 
     typedef double term_sum;
 #define OF_SUM(sum) (sum)
