@@ -11,6 +11,7 @@ from zoo import apart, held, pair
 import openmm_exactrb as rb
 from on_device import device_platform
 from openmm_exactrb.engines.device.flexible import blocks
+from openmm_exactrb.engines.device.flexible.molecules import NotServedError, require_few_terms
 from peptides import in_water, peptide, violations
 
 pytestmark = pytest.mark.opencl
@@ -240,8 +241,16 @@ def test_what_is_not_served_is_named():
     _, system, x = peptide()
     system.addForce(tether(0, 9))
     assert "no kernel for the fast force tether, which has global parameters: put" in refusal(system, x, fast="bonded")
-    _, hub, _ = peptide()
+
+
+def test_a_hub_of_many_terms_is_refused_only_on_a_gpu():
+    _, hub, x = peptide()
     (bonds,) = (force for force in hub.getForces() if isinstance(force, openmm.HarmonicBondForce))
     for _ in range(401):
         bonds.addBond(0, 14, 0.5, 1.0)
-    assert "particle 0 is in 418 bonded terms" in refusal(hub, x, fast="bonded")
+    distance, device = moved((None, hub, x), nested("S2_2", 0.002))
+    assert distance < DOUBLE
+    terms = device.getIntegrator()._propagator._served.molecules[0].terms  # noqa: SLF001
+    require_few_terms(terms, 418)
+    with pytest.raises(NotServedError, match=r"particle 0 is in 418 bonded terms, .* supports at most 417 on a GPU"):
+        require_few_terms(terms, 417)

@@ -25,8 +25,8 @@ def arrays(blocks: Blocks, shared: bool = False) -> tuple[dict[str, NDArray[Any]
 
     "clusters" contains a row for each cluster: its first atom, its number of atoms, the start of the table of its graph
     in "graphs", or -1 for a star, and the start of its workspace in "room". "lengths" contains the length of the
-    constraint of each atom of a star, and then the lengths and weights of each graph. "room" is empty if the clusters of
-    a thread have a `shared` workspace, as on processors.
+    constraint of each atom of a star, and then the lengths and weights of each graph. "room" is empty if the clusters
+    of a thread have a `shared` workspace, as on processors.
     """
     n, room, kinds = len(blocks.particles), 0, 0
     table = np.stack([blocks.starts, blocks.sizes, *np.full((2, len(blocks.starts)), -1)], axis=1)

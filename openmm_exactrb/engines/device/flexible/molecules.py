@@ -24,8 +24,8 @@ from openmm_exactrb.support.types import Array, Indices
 
 #: The largest number of atoms of a cluster on a GPU, where a single thread moves each cluster.
 LARGEST = 32
-#: The largest number of bonded terms of a particle, because a block stores the other particles of these terms in local
-#: memory.
+#: The largest number of bonded terms of a particle on a GPU, where a block stores the other particles of these terms in
+#: local memory.
 MOST_TERMS = 400
 
 
@@ -86,7 +86,8 @@ def served(context: Any, bodies: RigidBodies, fast: FastForces | None, settings:
         If a cluster is too large, if a particle has too many bonded terms, or if no kernel supports the fast forces and
         `fast` does not name their force groups.
     """
-    require_small_clusters(bodies, None if platforms.no_gpu(context) else LARGEST)
+    on_gpu = platforms.no_gpu(context) is None
+    require_small_clusters(bodies, LARGEST if on_gpu else None)
     system, scheme, h = context.getSystem(), settings.splitting, settings.h
     masses = parameters.masses(system)
     clusters = [Group(kind.particles, kind.graph) for kind in bodies.clusters.kinds]
@@ -110,7 +111,7 @@ def served(context: Any, bodies: RigidBodies, fast: FastForces | None, settings:
     without = _chosen(clusters, excerpt.particles, False)
     late, terms = fast.excerpt is not None, terms_of(excerpt.forces, settings.groups)
     assert terms is not None  # the kernels support all fast forces here
-    _require_room(terms)
+    require_few_terms(terms, MOST_TERMS if on_gpu else None)
     with_terms = Molecules(groups, masses, bodies.owner, terms, inner, late)
     return Served((with_terms, *([Molecules(without, masses, bodies.owner)] if without else [])))
 
@@ -131,13 +132,13 @@ def require_small_clusters(bodies: RigidBodies, largest: int | None) -> None:
             )
 
 
-def _require_room(terms: Terms) -> None:
-    """Raise NotServedError if a particle is in more than `MOST_TERMS` bonded terms."""
+def require_few_terms(terms: Terms, most: int | None) -> None:
+    """Raise NotServedError if a particle is in more than `most` bonded terms; None means any number."""
     count = np.bincount(np.concatenate([of_kind.ravel() for of_kind in particles(terms)]), minlength=1)
-    if count.max() > MOST_TERMS:
+    if most is not None and count.max() > most:
         raise NotServedError(
-            f"particle {count.argmax()} is in {count.max()} bonded terms, but the device supports at most "
-            f"{MOST_TERMS}: distribute the terms over several particles, or use a CustomExternalForce for restraints"
+            f"particle {count.argmax()} is in {count.max()} bonded terms, but the device engine supports at most "
+            f"{most} on a GPU: distribute the terms over several particles, or use a CustomExternalForce for restraints"
         )
 
 
