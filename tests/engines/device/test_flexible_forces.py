@@ -59,9 +59,9 @@ class Kicks:
         rounded = BodyState(x.T.copy(), np.zeros((3, ALL)), np.zeros((4, 0)), np.zeros((3, 0)))
         self.part.write(self.device, State.of(rounded))
         self.device.run("kick")
-        out = BodyState(np.zeros((3, ALL)), np.zeros((3, ALL)), np.zeros((4, 0)), np.zeros((3, 0)))
+        out = State.of(BodyState(np.zeros((3, ALL)), np.zeros((3, ALL)), np.zeros((4, 0)), np.zeros((3, 0))))
         self.part.read(self.device, out)
-        return out.P.T
+        return out.rounded.P.T
 
 
 @pytest.fixture(scope="module", params=[np.float64, np.float32], ids=["double", "float"])
