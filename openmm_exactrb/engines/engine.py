@@ -30,7 +30,8 @@ from openmm_exactrb.thermostat import Thermostat
 
 #: The error message for a thermostat whose heat the engine does not record.
 NO_BALANCE = (
-    "the device engine does not record the heat of the thermostat: use engine='host' to monitor the energy balance"
+    "the device engine does not record the heat of the thermostat: call heat() before the first step, or use "
+    "engine='host', to monitor the energy balance"
 )
 
 

@@ -88,7 +88,11 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
 
 
 class HeatedIntegrator(ThermostattedIntegrator):
-    """An integrator that sums the heat that its thermostat exchanges with the bodies."""
+    """An integrator that sums the heat that its thermostat exchanges with the bodies.
+
+    Only the host records the heat of friction. With ``engine="auto"``, it performs the steps if `heat` or
+    `effectiveEnergy` is called before the first one.
+    """
 
     def heat(self) -> unit.Quantity:
         """Return the energy that the thermostat has added to the bodies since the start of the run.
@@ -101,6 +105,7 @@ class HeatedIntegrator(ThermostattedIntegrator):
         ValueError
             If friction acts on the device, which does not record the heat.
         """
+        self._monitor()
         if self._propagator is not None and self.getEngine() != "host" and self._thermostat.factors is None:
             raise ValueError(NO_BALANCE)
         return variables.get(self, self._thermostat.heat) * unit.kilojoule_per_mole
@@ -119,4 +124,15 @@ class HeatedIntegrator(ThermostattedIntegrator):
         ValueError
             If friction acts on the device, which does not record the heat.
         """
+        self._monitor()
         return self._energyAtExchange() - self.heat()
+
+    def _monitor(self) -> None:
+        """Leave the steps to the host, which records heat, if another engine is possible but has performed none yet."""
+        if not self._selection.open or self._thermostat.factors is not None:
+            return
+        sync = self._propagator and self._propagator.sync
+        if not sync or sync.outdated or not sync.context.getStepCount():
+            why = "only the host records the heat, which was asked for before the first step"
+            self._selection.leave_to_host(self, self._settings(), why)
+            self._propagator = None
