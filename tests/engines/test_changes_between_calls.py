@@ -14,7 +14,7 @@ from on_device import platform_for
 from openmm_exactrb.schemes import WITH_THERMOSTAT
 from starts import REFERENCE, positions_of, velocities_of
 
-ENGINES = ["host", pytest.param("device", marks=pytest.mark.opencl)]
+ENGINES = ["host", "auto", pytest.param("device", marks=pytest.mark.opencl)]  # "auto": the kernels, on a processor
 SCHEMES = [name for name in rb.SCHEMES if name != "V2_drift"]
 PROCESSED = [name for name in SCHEMES if rb.SCHEMES[name].processor]
 WALL = 3  # number of oxygens that can be restrained
