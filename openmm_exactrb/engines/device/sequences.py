@@ -156,7 +156,8 @@ class Sequences:
         """
         velocities = updates.has_thermostats or updates.removes_motion
         pushed, moved = self._each("pushed", False, False) if velocities else [], self._each("moved", False)
-        to.sequence("pushed", pushed)
+        # Thermostats set velocities that are not those of rigid bodies, and a call may end here.
+        to.sequence("pushed", [*pushed, *(self.moved(Segment(shows=True)) if updates.has_thermostats else [])])
         if not processed:
             to.sequence("moved", moved)
             if ahead:

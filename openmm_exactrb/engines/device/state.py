@@ -53,7 +53,9 @@ class DeviceState(Synchronisation):
         elsewhere = bool((x != self.particles)[self._fixed].any())
         self.particles[:], self._v[:] = x, v
         self._take(known, state, elsewhere)
-        if np.abs(x - self.bodies.positions(self.state.rounded, self.particles)).max() > self._rigid:
+        rounded = self.state.rounded
+        shown = self.bodies.positions(rounded, self.particles), self.bodies.velocities(rounded, v.copy())
+        if max(np.abs(held - rigid).max() for held, rigid in zip((x, v), shown, strict=True)) > self._rigid:
             self.push()
         return True
 
