@@ -278,7 +278,11 @@ class DevicePropagator:
                 self._perform(1, shows and k == n - 1, since)
         except BaseException as error:
             try:
+                done = self.sync.context.getStepCount()
                 self._restore()
+                done -= self.sync.context.getStepCount()
+                if done > 0:  # an error in a force: the steps before it are performed again
+                    self._step(done, shows=True)
                 self._show()
             except openmm.OpenMMException as second:  # the first error is raised, with a note
                 error.add_note(f"The Context could not be restored ({second}): load a checkpoint into a new Context.")
