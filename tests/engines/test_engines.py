@@ -70,7 +70,7 @@ def test_an_engine_that_is_registered_makes_the_steps_that_are_asked_of_it(own, 
 
 
 def test_auto_takes_the_first_that_serves_and_pays(own):
-    cases = (0.002, "S2_2", "own"), (0.007, "S2_2", "device"), (0.02, "S2_2", "device"), (0.002, "V2", "device")
+    cases = (0.002, "S2_2", "own"), (0.007, "S2_2", "host"), (0.02, "S2_2", "host"), (0.002, "V2", "host")
     for h, scheme, name in cases:
         integrator = rb.ExactRigidBodyIntegrator(h, scheme)
         context = context_of(integrator)

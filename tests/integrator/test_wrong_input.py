@@ -288,5 +288,5 @@ def test_an_error_in_a_force_leaves_a_state_of_the_bodies(scheme):
             integrator.step(done)
         ends.append(context.getState(positions=True).getPositions(asNumpy=True)._value)
         assert context.getTime()._value == pytest.approx(0.05 * done)
-    assert done == (0 if integrator.getScheme().processor else 3)
+    assert done == (0 if integrator.getScheme().processor else 3)  # on the host
     np.testing.assert_allclose(*ends, rtol=0.0, atol=1e-14)

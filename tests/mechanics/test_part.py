@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import openmm_exactrb as rb
-from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.mechanics.bodies import Part
 from openmm_exactrb.mechanics.free_motion import free_motion
 from openmm_exactrb.mechanics.state import State
@@ -18,10 +17,10 @@ from peptides import in_water, moving
 def droplet():
     """All bodies, the peptide's part of them with its particles, and a state with momenta."""
     _, system, x = in_water()
-    excerpt = bonded_excerpt(system, find_bodies(system, x))
     integrator, _context = moving(system, x)
     integrator.step(1)
     bodies, state = integrator.fullState()
+    excerpt = bonded_excerpt(system, bodies)
     return bodies, excerpt, state
 
 
@@ -33,7 +32,7 @@ def test_the_part_of_the_bonded_forces_is_the_peptide(droplet):
     bodies, excerpt, state = droplet
     part = excerpt.part
     np.testing.assert_array_equal(excerpt.particles, np.arange(22))
-    assert (len(part.bodies), part.bodies.n_turning, len(part.bodies.clusters)) == (19, 3, 3)  # CH and NH turn, CH3
+    assert (len(part.bodies), part.bodies.n_turning, len(part.bodies.clusters)) == (22, 0, 6)  # CH, NH and CH3
     everywhere = bodies.positions(state.rounded, np.zeros((bodies.n_particles, 3)))
     here = part.bodies.positions(part.of(state).rounded, np.zeros((22, 3)))
     np.testing.assert_array_equal(here, everywhere[excerpt.particles])

@@ -281,9 +281,7 @@ class DevicePropagator:
                 done = self.sync.context.getStepCount()
                 self._restore()
                 done -= self.sync.context.getStepCount()
-                if done > 0:  # an error in a force: the steps before it are performed again
-                    self._step(done, shows=True)
-                self._show()
+                self._step(done, shows=True) if done > 0 else self._show()  # again, up to an error in a force
             except openmm.OpenMMException as second:  # the first error is raised, with a note
                 error.add_note(f"The Context could not be restored ({second}): load a checkpoint into a new Context.")
             raise

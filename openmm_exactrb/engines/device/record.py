@@ -106,8 +106,6 @@ def _with_text(scheme: Scheme) -> Substep | None:
 
 def _advice(context: Any, settings: Settings) -> tuple[bool, str]:
     name = context.getPlatform().getName()
-    if name in platforms.PROCESSORS:
-        return True, f"kernels of the library perform the steps on the platform {name}"
     if why := platforms.no_gpu(context):
         return False, why
     return True, f"{name} computes on a GPU"

@@ -70,7 +70,7 @@ def test_what_another_user_could_have_written_is_not_loaded(cache):
 def test_a_compiler_that_fails_is_quoted(cache, tmp_path, monkeypatch):
     source = tmp_path / "broken.cpp"
     source.write_text("int main() { return nothing; }\n")
-    monkeypatch.setattr(module, "SOURCE", source)
+    monkeypatch.setattr(module, "SOURCES", (source,))
     with pytest.raises(MissingLibraryError, match=r"cannot compile the device engine .*nothing"):
         module.compiled()
     assert list(cache.iterdir()) == []  # and nothing is left
