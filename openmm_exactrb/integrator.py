@@ -69,8 +69,8 @@ class ExactRigidBodyIntegrator(Copied, OwnProgram, openmm.CustomIntegrator, Body
     engine : {"auto", "host", "device"}, optional
         What performs the steps. "host" means Python and numba on the CPU. "device" means kernels on the device of the
         Platform (CUDA, HIP or OpenCL) or, for Reference and CPU, in the package's C++ library (see "On a GPU" in the
-        documentation). "auto" means "device", except on devices that are no GPU, if the library is available and the
-        engine supports the System and the settings; otherwise "host" (see `engineNote`).
+        documentation). "auto" means "device" on a GPU, if the library is available and the engine supports the System
+        and the settings; otherwise "host" (see `engineNote`).
     thermostat : Thermostat, optional
         A thermostat of `openmm_exactrb.thermostats` or your own. With a thermostat, the scheme may also be a key of
         `openmm_exactrb.schemes.WITH_THERMOSTAT`. None means constant energy.

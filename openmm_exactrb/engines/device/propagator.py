@@ -38,7 +38,6 @@ from openmm_exactrb.thermostat import Factors
 _FEWEST, _MOST, _SECONDS = 10, 1000, 0.05
 # The place (see `Device.keep`) of the state after steps whose energies are compared.
 _AFTER = 1
-
 # Kinetic and total energy in kJ/mol.
 Energies = tuple[float, float]
 
