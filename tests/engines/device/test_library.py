@@ -128,7 +128,8 @@ def test_a_compiler_with_a_static_c_library_makes_a_library_that_runs(cache, tmp
 
 @needs_compiler
 def test_lines_that_are_no_program_are_refused_with_a_sentence():
-    device = Device(library(), library().make())
+    integrator = library().make()
+    device = Device(library(), integrator)  # which does not keep the integrator alive
     for text, message in (
         ("run nothing", "an operation outside a sequence: run nothing"),
         ("sequence a\nrun nothing", "no kernel nothing"),
