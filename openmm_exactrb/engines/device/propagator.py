@@ -277,10 +277,8 @@ class DevicePropagator:
                 self._perform(1, shows and k == n - 1, since)
         except BaseException as error:
             try:
-                done = self.sync.context.getStepCount()
                 self._restore()
-                done -= self.sync.context.getStepCount()
-                self._step(done, shows=True) if done > 0 else self._show()  # again, up to an error in a force
+                self._show()
             except openmm.OpenMMException as second:  # the first error is raised, with a note
                 error.add_note(f"The Context could not be restored ({second}): load a checkpoint into a new Context.")
             raise
