@@ -18,7 +18,7 @@ from openmm_exactrb.support.types import Array
 
 
 class KnownForces(NamedTuple):
-    """Forces that OpenMM evaluated earlier, from which `changed` tells whether it would now evaluate others.
+    """Forces that OpenMM evaluated earlier, which OpenMM may now evaluate to other values.
 
     OpenMM informs only an integrator's C++ part of ``updateParametersInContext``. In Python, nothing short of another
     evaluation notices changed forces: the parameters of the System's forces are those of the Context only after this

@@ -47,7 +47,7 @@ def satisfied(system: openmm.System, x: Array) -> bool:
 def mended(context: Any) -> float:
     """Let OpenMM's solver put positions on the constraints if they are too far from these for a first step.
 
-    Molecules that the box has split are joined first. Positions that the solver cannot mend are unchanged.
+    Molecules that the box has split are joined first. Positions that the solver cannot correct are unchanged.
 
     Returns
     -------

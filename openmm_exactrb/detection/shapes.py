@@ -186,7 +186,7 @@ def _in_principal_axes(particles: Indices, masses: Array, places: Array) -> Kind
     mass, sites = float(masses.sum()), np.zeros((len(masses), 3))
     places = places - masses @ places / mass
     axes = np.linalg.eigh((masses * places.T) @ places)[1][:, ::-1]
-    axes[:, -1] *= np.linalg.det(axes)  # a rotation, which keeps the handedness of the places
+    axes[:, -1] *= np.linalg.det(axes)  # a rotation, which keeps the handedness of the positions
     sites[:, : len(axes)] = places @ axes
     spread = masses @ sites**2
     # The largest spread comes first, so that the moments of inertia ascend and a linear body lies along axis 1.

@@ -11,5 +11,5 @@ ENGINES: dict[str, Engine] = {engine.name: engine for engine in (HOST, DEVICE)}
 
 
 def in_order() -> list[Engine]:
-    """Return the engines in the order in which "auto" tries them: newest first, and last the host, which serves all."""
-    return [*(engine for engine in reversed(ENGINES.values()) if engine is not HOST), HOST]
+    """Return the engines in the order in which "auto" tries them: the host, which supports all settings, is last."""
+    return sorted(ENGINES.values(), key=lambda engine: engine is HOST)

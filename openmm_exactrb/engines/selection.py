@@ -78,7 +78,7 @@ class Selection:
             variables.mark(integrator, variables.NOTHING)
 
     def _advised(self, context: Any, settings: Settings, serving: Sequence[Engine], reasons: list[str]) -> None:
-        """Choose the first engine that is advised for a Context; `reasons` tell why engines do not serve it."""
+        """Choose the first engine that is advised for a Context; `reasons` state why engines do not support it."""
         for engine in serving:
             pays, why = engine.advice(context, settings)
             if pays:

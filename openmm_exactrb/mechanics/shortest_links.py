@@ -23,7 +23,7 @@ _NEIGHBOURS, _MORE = 8, 4
 # In a box, neighbours are sought up to a distance, which is at first this multiple of the usual distance of nearest
 # neighbours, and grows by the second number until bodies are connected.
 _FIRST, _GROWTH = 3.0, 4.0
-# One in so many particles of a group looks for other groups first. The distances of these exclude many others.
+# One in so many particles of a group is compared with other groups first. The distances of these exclude many others.
 _SPARSE = 64
 # Smallest distance (nm) up to which neighbours are sought, if particles coincide.
 _LEAST = 1e-9
@@ -156,7 +156,7 @@ class _Neighbours:
                     self._search(label, asking, among, length, place)
 
     def _search(self, label: Indices, asking: Indices, among: Indices, length: Array, place: Indices) -> None:
-        """Enter the nearest of the places `among` for those particles of each group that can be nearest to them."""
+        """Enter the nearest of the positions `among` for those particles of each group that can be nearest to them."""
         tree, asking = _tree(self._places[among]), asking[np.argsort(label[asking], kind="stable")]
 
         def enter(particles: Indices) -> Array:

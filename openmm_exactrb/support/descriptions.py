@@ -40,7 +40,7 @@ def _level(thing: Any, name: str) -> int:
 
 
 def own_methods(thing: Any) -> dict[str, Any]:
-    """Return the methods that an object itself has in place of those of its class."""
+    """Return the methods that an object itself has instead of those of its class."""
     kind, present = type(thing), getattr(thing, "__dict__", {})
     fields = getattr(kind, "__dataclass_fields__", {})
     return {n: value for n, value in present.items() if n not in fields and callable(getattr(kind, n, None))}

@@ -40,7 +40,7 @@ def test_who_reads_no_further_sees_no_error(options):
 @pytest.mark.skipif(not FULL.exists(), reason="a device of Linux")
 @pytest.mark.parametrize("options", [[], ["-u"]], ids=["at the end", "line by line"])
 def test_output_that_cannot_be_written_is_one_line(options):
-    with FULL.open("w") as full:
+    with FULL.open("w", encoding="utf-8") as full:
         done = said_by(options, full)
     assert done.returncode == 2
     assert done.stderr == "exactrb info: [Errno 28] No space left on device\n"

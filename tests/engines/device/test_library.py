@@ -141,7 +141,7 @@ def test_lines_that_are_no_program_are_refused_with_a_sentence():
     ):
         with pytest.raises(openmm.OpenMMException, match=message):
             device.load(text)
-    with pytest.raises(openmm.OpenMMException, match="no Context on a processor or on one device with double precision, or no program"):
+    with pytest.raises(openmm.OpenMMException, match=r"no Context on a processor .* or no program"):
         device.step(1)
     with pytest.raises(openmm.OpenMMException, match="no array x"):
         device.upload("x", ctypes.c_double())

@@ -21,7 +21,7 @@ COST_OF_BLOCK, COST_OF_MOLECULE = 1200, 6400
 
 
 class Group(NamedTuple):
-    """The particles (N, n) of clusters with the same constraint graph, which is None for single atoms."""
+    """The particles (N, n) of clusters with the same constraint graph, or None for single atoms."""
 
     particles: Indices
     graph: Graph | None = None

@@ -35,7 +35,7 @@ class GroupsKick(Substep):
 
 @dataclass(frozen=True)
 class OfGroups(Substep):
-    """A substep that uses the forces of several force groups, given as a bit mask, in place of all forces."""
+    """A substep that uses the forces of several force groups, given as a bit mask, instead of all forces."""
 
     substep: Substep
     groups: int
