@@ -90,8 +90,8 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
 class HeatedIntegrator(ThermostattedIntegrator):
     """An integrator that sums the heat that its thermostat exchanges with the bodies.
 
-    Only the host records the heat of friction. With ``engine="auto"``, it performs the steps if `heat` or
-    `effectiveEnergy` is called before the first one.
+    Only the host records the heat of friction. With ``engine="auto"``, it performs the steps if ``heat()`` or
+    ``effectiveEnergy()`` is called before the first one.
     """
 
     def heat(self) -> unit.Quantity:

@@ -98,7 +98,7 @@ def amoeba_energy(R, mu, box):
     force.setPolarizationType(force.Direct)
     force.setCutoffDistance(0.499 * box)
     force.setAEwald(8.0 / box)
-    force.setPmeGridDimensions([64, 64, 64])
+    force.setPmeGridDimensions([96, 96, 96])
     strength = float(np.linalg.norm(mu[0])) / rb.dipole_strength(1.0 * unit.elementary_charge * unit.nanometer)
     for i in range(len(R)):
         system.addParticle(1.0)
