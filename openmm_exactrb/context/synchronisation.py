@@ -272,13 +272,14 @@ class Synchronisation:
 
         Steps then continue from the shown state. Afterwards, the Context may contain other positions and another time.
         """
-        if self.inner is not None and (
-            self.inner.fingerprint != self.fingerprint(self.context) or self._forces_changed()
-        ):
+        changed = self._forces_changed()
+        if self.inner is not None and (changed or self.inner.fingerprint != self.fingerprint(self.context)):
             self.inner = None
         return self.inner
 
     def _forces_changed(self) -> bool:
+        if (noticed := self._storage.forces_changed()) is not None:
+            return noticed
         return self.inner is not None and any(forces.changed() for forces in self.inner.forces)
 
     @functools.cached_property

@@ -184,6 +184,9 @@ class Storage(Protocol):
     def read_forces(self, count: int) -> list[Force] | None:
         """Return `count` forces and torques that `write_forces` wrote, or None if another scheme wrote them."""
 
+    def forces_changed(self) -> bool | None:
+        """Return whether parameters of forces have changed since the last call, or None if this is unknown."""
+
 
 class PerDof:
     """The storage of an integrator without a library: its per-DOF variables, on the first particle of each body."""
@@ -231,6 +234,10 @@ class PerDof:
         pairs = ([self._values(name).T for name in _last(k)] for k in range(count))
         k = self._bodies.n_turning
         return [(np.ascontiguousarray(force), np.ascontiguousarray(torque[:, :k])) for force, torque in pairs]
+
+    def forces_changed(self) -> bool | None:
+        """Return None: OpenMM informs only an integrator's C++ part of changed parameters."""
+        return None
 
     def _values(self, name: str) -> Array:
         values = np.array(self._integrator.getPerDofVariableByName(PREFIX + name), dtype=np.float64)

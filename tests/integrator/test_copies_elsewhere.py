@@ -27,8 +27,9 @@ def run(script, *arguments):
     """Return what a new process prints."""
     paths = os.pathsep.join(map(str, (ROOT, ROOT / "tests" / "common")))
     command = [sys.executable, "-c", script, *map(str, arguments)]
-    environment = os.environ | {"PYTHONPATH": paths}
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=300)
+    environment = os.environ | {"PYTHONPATH": paths, "PYTHONUTF8": "1"}
+    options: dict = {"capture_output": True, "encoding": "utf-8", "check": False, "timeout": 300}
+    done = subprocess.run(command, env=environment, **options)
     assert done.returncode == 0, done.stderr
     return done.stdout
 

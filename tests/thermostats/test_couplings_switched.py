@@ -178,9 +178,6 @@ def test_dipoles_of_one_box_bear_a_barostat_that_never_acts():
     context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
     context.setPositions(positions)
     integrator.step(1)
-    coupling(context).setFrequency(1)
-    with pytest.raises(ValueError, match="a barostat changes the box, but dipoles with kernel='bonds'"):
-        integrator.step(1)
 
 
 @pytest.mark.parametrize(

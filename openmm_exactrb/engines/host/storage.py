@@ -14,6 +14,9 @@ from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.state import Force, State
 from openmm_exactrb.support.types import Array
 
+# The bit of changed parameters of forces, see `Device.changes`.
+_FORCES = 4
+
 
 class ProgramStorage:
     """The storage of an integrator of the library; it has an inner state and `memory` forces for a processed scheme."""
@@ -56,6 +59,10 @@ class ProgramStorage:
         return [
             (self._download(self._last(k, 0), force), self._download(self._last(k, 1), torque)) for k in range(count)
         ]
+
+    def forces_changed(self) -> bool | None:
+        """Return whether parameters of forces have changed since the last call, of which OpenMM informs the library."""
+        return bool(self._device.changes(clear=_FORCES) & _FORCES)
 
     def _upload(self, name: str, values: Array) -> None:
         if values.size:
