@@ -44,7 +44,7 @@ def trace_of(system, positions, integrator):
     ("make", "most"),
     [
         (lambda **options: rb.ExactRigidBodyIntegrator(0.0005, "S2_2", **options), 19),
-        (lambda **options: rb.ExactRigidBodyIntegrator(0.0005, **options), 20),
+        (lambda **options: rb.ExactRigidBodyIntegrator(0.0005, **options), 22),
         (lambda **options: rb.ExactRigidBodyLangevinIntegrator(100.0, 1.0, 0.0005, "S2_2", **options), 23),
     ],
     ids=["S2_2", "default", "Langevin"],
