@@ -38,9 +38,9 @@ class ExactRigidBodyIntegrator(Copied, OwnProgram, openmm.CustomIntegrator, Body
     Rigid bodies are the clusters of particles that the constraints of the System make rigid. Particles without
     constraints, and clusters that constraints do not make rigid, are integrated as well. After every call of
     ``step(n)``, the Context contains the new positions, velocities, time and step count. Changes made to the Context
-    between calls are taken into account. On the host, a scheme that begins and ends with a kick and a processed scheme
-    evaluate the forces again at the start of each call. Within a call, no force is evaluated twice at the same
-    positions.
+    between calls are taken into account. On the host, a scheme that begins and ends with a kick evaluates the forces
+    again at the start of each call, and so does a processed scheme if the package's library is missing. Within a call,
+    no force is evaluated twice at the same positions.
 
     Parameters
     ----------

@@ -20,7 +20,7 @@ from openmm_exactrb.support.types import Array
 class KnownForces(NamedTuple):
     """Forces that OpenMM evaluated earlier, which OpenMM may now evaluate to other values.
 
-    OpenMM informs only an integrator's C++ part of ``updateParametersInContext``. In Python, nothing short of another
+    OpenMM reports ``updateParametersInContext`` to integrators of the library only. In Python, nothing short of another
     evaluation notices changed forces: the parameters of the System's forces are those of the Context only after this
     call, and reading all of them takes as long as an evaluation.
     """

@@ -5,20 +5,21 @@ from __future__ import annotations
 import functools
 import weakref
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any
 
 import numpy as np
 import openmm
 from numpy.typing import NDArray
 
 from openmm_exactrb.context import variables
+from openmm_exactrb.context.inner import Inner, has_saved_forces, save_forces
 from openmm_exactrb.context.watch import watch
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.mathematics.compensated import add
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.fit import fit, refit
 from openmm_exactrb.mechanics.images import Shapes
-from openmm_exactrb.mechanics.state import Remembered, State
+from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.support.types import Array, Indices
 
@@ -77,33 +78,6 @@ class Positions:
         """Record a change of positions, box or parameters that this object did not make."""
         self.version += 1
         self._written = None
-
-
-class Changeable(Protocol):
-    """Forces that were known when an inner state was computed, such as `openmm_exactrb.context.forces.KnownForces`."""
-
-    def changed(self) -> bool:
-        """Return whether OpenMM would now evaluate other forces."""
-
-
-class Inner(NamedTuple):
-    """A state in the inner coordinates of a processed scheme, from which its steps continue, and what it belongs to.
-
-    Attributes
-    ----------
-    state : State
-    fingerprint : float
-        A number that identifies the settings, the box and the parameters to which the state belongs.
-    memory : Remembered
-        The forces of the last kicks.
-    forces : sequence of Changeable
-        The forces to which the state belongs, unless the state was loaded.
-    """
-
-    state: State
-    fingerprint: float
-    memory: Remembered = ([], [])
-    forces: Sequence[Changeable] = ()
 
 
 class Synchronisation:
@@ -296,7 +270,9 @@ class Synchronisation:
         integrator = self._integrator()
         fingerprint = variables.get(integrator, variables.COORDINATES)
         inner = variables.read(integrator, self._storage, variables.INNER) if fingerprint else None
-        self.inner = inner and Inner(inner, fingerprint, variables.read_forces(integrator, self._storage))
+        self.inner = None
+        if inner is not None and has_saved_forces(self.context, integrator):
+            self.inner = Inner(inner, fingerprint, variables.read_forces(integrator, self._storage))
 
     def _write(self) -> None:
         """Write the state, and the inner state if it is valid, to the integrator's variables; see `_write_shown`."""
@@ -310,6 +286,7 @@ class Synchronisation:
         self._storage.write(self.inner.state, variables.INNER)
         variables.write_forces(integrator, self._storage, self.inner.memory)
         variables.put(integrator, variables.COORDINATES, self.inner.fingerprint)
+        save_forces(self.context, integrator)
 
     def _forces_changed_here(self) -> bool:
         """Return whether forces have changed since the inner state was computed; the Context is not modified."""

@@ -30,14 +30,14 @@ SHOWN, INNER = "", "inner_"
 # that the variables hold a state, and identify its format; see `written`.
 _STORED = "stored"
 NOTHING, _WRITTEN, _STEPPING, _DEVICE = 0.0, 1.0, 2.0, 4.0
-#: What identifies that to which the inner state belongs (0 without an inner state), and the numbers of forces and of
-#: differences of displaced forces that are stored with the inner state.
-COORDINATES, REMEMBERED, DIFFERENCES = "coordinates", "remembered", "differences"
+#: What identifies that to which the inner state belongs (0 without an inner state), a sum of the forces at the saved
+#: positions, and the numbers of forces and of differences of displaced forces that are stored with the inner state.
+COORDINATES, FORCES, REMEMBERED, DIFFERENCES = "coordinates", "forces", "remembered", "differences"
 #: The seed of the noise, and the number of its stream.
 SEED, STREAM = "seed", "stream"
 #: The heat that thermostats have exchanged, and the numbers of accepted and of all proposals in the Metropolis test.
 HEAT, HEAT_OF_FRICTION, ACCEPTED, PROPOSED = "heat", "heat_of_friction", "accepted", "proposed"
-_NUMBERS = (SEED, STREAM, HEAT, HEAT_OF_FRICTION, ACCEPTED, PROPOSED, COORDINATES, REMEMBERED, DIFFERENCES)
+_NUMBERS = (SEED, STREAM, HEAT, HEAT_OF_FRICTION, ACCEPTED, PROPOSED, COORDINATES, FORCES, REMEMBERED, DIFFERENCES)
 # Error of steps that OpenMM's C++ tries to perform.
 _NOT_BY_OPENMM = (
     "OpenMM alone cannot perform the steps of this integrator of openmm_exactrb: import openmm_exactrb before reading "

@@ -11,10 +11,13 @@ from openmm import app, unit
 import openmm_exactrb as rb
 import starts
 from on_device import platform_for
+from openmm_exactrb.engines import selection
+from openmm_exactrb.errors import MissingLibraryError
 from openmm_exactrb.schemes import WITH_THERMOSTAT
 from starts import REFERENCE, positions_of, velocities_of
 
-ENGINES = ["host", "auto", pytest.param("device", marks=pytest.mark.opencl)]  # "auto": the kernels, on a processor
+#: Where steps are performed: on the host, with integrators of the library or without one, or by the kernels.
+PLACES = ["host", "no library", "kernels", pytest.param("OpenCL", marks=pytest.mark.opencl)]
 SCHEMES = [name for name in rb.SCHEMES if name != "V2_drift"]
 PROCESSED = [name for name in SCHEMES if rb.SCHEMES[name].processor]
 WALL = 3  # number of oxygens that can be restrained
@@ -57,22 +60,33 @@ def mixture(flexible):
     return system, np.concatenate([x, places])
 
 
-class Run:
-    """A Context of an engine, and what `fresh` needs to know of it."""
+def no_library():
+    """Raise the error of a machine without a library."""
+    raise MissingLibraryError("none")
 
-    def __init__(self, engine, scheme, flexible, thermostat=None):
-        self.engine, self.scheme, self.thermostat = engine, scheme, thermostat
+
+class Run:
+    """A Context of a place, and what `fresh` needs to know of it."""
+
+    def __init__(self, place, scheme, flexible, thermostat=None):
+        self.place, self.scheme, self.thermostat = place, scheme, thermostat
         self.h = 0.002 * max(1, (WITH_THERMOSTAT | rb.SCHEMES)[scheme].forces)
         self.system, x = mixture(flexible)
-        self.integrator = self.made(engine)
-        platform, properties = platform_for(engine)
-        self.context = starts.context_of(
-            self.system, self.integrator, x, kelvin=300.0, platform=platform, properties=properties
-        )
+        self.integrator = self.made(place)
+        self.context = starts.context_of(self.system, self.integrator, x, kelvin=300.0, **self.platform)
 
-    def made(self, engine):
+    @property
+    def platform(self):
+        platform, properties = platform_for("device" if self.place == "OpenCL" else "host")
+        return {"platform": platform, "properties": properties}
+
+    def made(self, place):
         thermostat = None if self.thermostat is None else rb.thermostats.Langevin(300.0, 1.0)
-        return rb.ExactRigidBodyIntegrator(self.h, self.scheme, engine=engine, thermostat=thermostat)
+        engine = "device" if place in ("kernels", "OpenCL") else "host"
+        with pytest.MonkeyPatch.context() as patch:
+            if place == "no library":
+                patch.setattr(selection, "library", no_library)
+            return rb.ExactRigidBodyIntegrator(self.h, self.scheme, engine=engine, thermostat=thermostat)
 
     def fresh(self):
         """Return a new Context on the host that starts from what is shown."""
@@ -234,14 +248,14 @@ def assert_goes_on_from_what_is_shown(run, exact=True):
     run.integrator.step(1)
     other.getIntegrator().step(1)
     used, fresh = run.energy - energy, energy_of(other) - energy
-    precision = 1e-9 if run.engine == "host" else 1e-8  # where OpenMM's forces are those of another platform
+    precision = 1e-8 if run.place == "OpenCL" else 1e-9  # the new Context has the forces of Reference
     np.testing.assert_allclose(positions_of(run.context), positions_of(other), rtol=0.0, atol=precision)
     if run.thermostat is None:
         assert abs(used - fresh) <= 0.1 * abs(fresh) + 1e-3
 
 
-def cases(engine, scheme, rng, changes, flexible=False, thermostat=None):
-    run = Run(engine, scheme, flexible, thermostat)
+def cases(place, scheme, rng, changes, flexible=False, thermostat=None):
+    run = Run(place, scheme, flexible, thermostat)
     for change in changes:
         if change is minimiser and run.context.getPlatform().getName() == "OpenCL":
             continue  # OpenMM's minimiser may crash on devices that are CPUs
@@ -253,43 +267,89 @@ def cases(engine, scheme, rng, changes, flexible=False, thermostat=None):
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_steps_of_every_scheme_go_on_from_what_is_shown(scheme):
     rng = random.Random(scheme)
-    cases("host", scheme, rng, rng.sample(CHANGES, 5))
+    for place in ("no library", "kernels"):
+        cases(place, scheme, rng, rng.sample(CHANGES, 3))
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("scheme", ["S2_2", *PROCESSED])
-def test_every_change_is_noticed(scheme, engine):
-    rng = random.Random(engine + scheme)
-    count = len(CHANGES) if engine == "host" or scheme == "W2_1" else 4  # Contexts of devices take long to create
-    cases(engine, scheme, rng, rng.sample(CHANGES, count))
+def test_every_change_is_noticed(scheme, place):
+    rng = random.Random(place + scheme)
+    count = len(CHANGES) if place != "OpenCL" or scheme == "W2_1" else 4  # Contexts of devices take long to create
+    cases(place, scheme, rng, rng.sample(CHANGES, count))
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("scheme", ["S2_2", "W2_1", "SRKN4_6b"])
-def test_every_change_is_noticed_with_inner_steps(scheme, engine):
-    rng = random.Random(engine + scheme)
-    changes = [bonds, *rng.sample(CHANGES, 4), bonds, *(rng.sample(CHANGES, 4) if engine == "host" else [])]
-    cases(engine, scheme, rng, changes, flexible=True)
+def test_every_change_is_noticed_with_inner_steps(scheme, place):
+    rng = random.Random(place + scheme)
+    changes = [bonds, *rng.sample(CHANGES, 4), bonds, *(rng.sample(CHANGES, 4) if place != "OpenCL" else [])]
+    cases(place, scheme, rng, changes, flexible=True)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("scheme", ["BAOA", "BAOAB"])
-def test_every_change_is_noticed_with_a_thermostat(scheme, engine):
-    rng = random.Random(engine + scheme)
-    changes = [bonds, *rng.sample(CHANGES, 4 if engine == "host" else 2)]
-    cases(engine, scheme, rng, changes, flexible=True, thermostat=True)
+def test_every_change_is_noticed_with_a_thermostat(scheme, place):
+    rng = random.Random(place + scheme)
+    changes = [bonds, *rng.sample(CHANGES, 4 if place != "OpenCL" else 2)]
+    cases(place, scheme, rng, changes, flexible=True, thermostat=True)
+
+
+# -- what changes nothing ---------------------------------------------------------------------------------------------
+
+
+def test_step_0_evaluates_no_forces():
+    run = Run("host", "W2_1", False)
+    for _ in range(2):
+        run.integrator.step(0)
+        assert run.integrator.timings.evaluations == 0
+        run.integrator.step(5)
+        run.integrator.timings.reset()
+
+
+NOISE = np.random.default_rng(1)
+
+
+def random_pull(state):
+    """Return no energy, and other forces at each evaluation."""
+    return 0.0, NOISE.normal(0.0, 10.0, (25, 3))
+
+
+def pull_at_a_time(state):
+    """Return the energy and the forces of a field that depends on the time and the number of steps."""
+    x, t = state.getPositions(asNumpy=True)._value, state.getTime()._value
+    strength = 100.0 * np.sin(50.0 * t + state.getStepCount())
+    return strength * x[:, 0].sum(), -strength * np.eye(3)[[0] * len(x)]
+
+
+@pytest.mark.parametrize("pull", [None, random_pull, pull_at_a_time])
+@pytest.mark.parametrize("scheme", ["W2_1", "W4_4"])
+@pytest.mark.parametrize("place", ["host", "no library"])
+def test_forces_that_change_by_themselves_leave_the_inner_state(place, scheme, pull):
+    """Calls after a few steps cost the output and, without a library, one look at the forces, or two at random ones."""
+    run = Run(place, scheme, False)
+    if pull is not None:
+        run.system.addForce(openmm.PythonForce(pull))
+        run.context.reinitialize(preserveState=True)
+    run.integrator.checkDivergence = False  # which asks for energies
+    for _ in range(5):
+        run.integrator.step(3)
+    run.integrator.timings.reset()
+    run.integrator.step(3)
+    looks = 0 if place == "host" else 2 if pull is random_pull else 1  # OpenMM tells the library of changes
+    expected = 3 * rb.SCHEMES[scheme].forces + rb.SCHEMES[scheme].output_forces + looks
+    assert run.integrator.timings.evaluations == expected
 
 
 # -- what is saved ----------------------------------------------------------------------------------------------------
 
 
-def continued(run, how):
-    """Return a new Context of the same System that continues from what is saved now."""
-    integrator = run.made(run.engine)
+def continued(run, how, system=None):
+    """Return a new Context of the same System, or another one, that continues from what is saved now."""
+    integrator = run.made(run.place)
     integrator.setStepSize(run.integrator.getStepSize())
     integrator.setIntegrationForceGroups(run.integrator.getIntegrationForceGroups())
-    platform, properties = platform_for(run.engine)
-    context = openmm.Context(copy.deepcopy(run.system), integrator, platform, properties)
+    context = openmm.Context(copy.deepcopy(system or run.system), integrator, *run.platform.values())
     if how == "checkpoint":
         context.loadCheckpoint(run.context.createCheckpoint())
         return context
@@ -300,13 +360,13 @@ def continued(run, how):
 
 @pytest.mark.parametrize("looks", [True, False])
 @pytest.mark.parametrize("how", ["checkpoint", "State"])
-@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("scheme", ["S2_2", "W2_1", "W4_4"])
-def test_what_is_saved_behind_a_change_continues_with_the_same_bits(scheme, engine, how, looks):
-    rng = random.Random(f"{scheme}{engine}{how}{looks}")
-    changes = rng.sample([c for c in CHANGES if c not in (removed_force, minimiser)], 3 if engine == "host" else 1)
+def test_what_is_saved_behind_a_change_continues_with_the_same_bits(scheme, place, how, looks):
+    rng = random.Random(f"{scheme}{place}{how}{looks}")
+    changes = rng.sample([c for c in CHANGES if c not in (removed_force, minimiser)], 3 if place != "OpenCL" else 1)
     for change in (None, *changes):
-        run = Run(engine, scheme, False)
+        run = Run(place, scheme, False)
         run.integrator.step(rng.choice([0, 1, 5]))
         if change is not None:
             change(run, rng)
@@ -315,7 +375,20 @@ def test_what_is_saved_behind_a_change_continues_with_the_same_bits(scheme, engi
         other = continued(run, how)
         for context in (run.context, other):
             context.getIntegrator().step(4)
-        if engine == "host" or how == "checkpoint":
+        if place != "OpenCL" or how == "checkpoint":
             np.testing.assert_array_equal(shown(other), shown(run.context), err_msg=str(change))
         else:  # OpenMM sorts molecules anew
             np.testing.assert_allclose(shown(other), shown(run.context), rtol=0.0, atol=1e-10, err_msg=str(change))
+
+
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("how", ["checkpoint", "State"])
+def test_what_is_loaded_into_a_context_with_other_forces_goes_on_from_what_is_shown(place, how):
+    """As from an equilibration with restraints."""
+    run, other = Run(place, "W2_1", False), Run(place, "W2_1", False)
+    for of_run, change in ((run, restraint), (other, charges)):
+        change(of_run, random.Random(1))
+    run.integrator.step(12)
+    other.context = continued(run, how, other.system)
+    other.integrator = other.context.getIntegrator()
+    assert_goes_on_from_what_is_shown(other)

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from openmm_exactrb.context import variables
-from openmm_exactrb.context.synchronisation import Inner, Synchronisation
+from openmm_exactrb.context.inner import Inner, has_saved_forces, save_forces
+from openmm_exactrb.context.synchronisation import Synchronisation
 from openmm_exactrb.engines.library import Device
 from openmm_exactrb.mechanics.fit import fit
 from openmm_exactrb.mechanics.state import State
@@ -46,6 +47,8 @@ class DeviceState(Synchronisation):
             return False
         x, v = self.held()
         known = self._read() if variables.marked(self._integrator()) else None
+        if changes & LOADED and self._device["inner"] and not has_saved_forces(self.context, self._integrator()):
+            self._discard_inner()
         if known is None:
             state = State.of(fit(self.bodies, self._joined(x), v))
         else:
@@ -89,7 +92,7 @@ class DeviceState(Synchronisation):
             if self._processed and self.inner is not None:
                 part.write(self._device, self.inner.state, copied=False)
         if self._processed and self.inner is None:
-            self._device["inner"] = 0.0
+            self._discard_inner()
 
     def _inner(self) -> Inner | None:
         """Read the state in inner coordinates from the device, or return None if there is no such state."""
@@ -127,10 +130,21 @@ class DeviceState(Synchronisation):
         self.push()
 
     def _write(self) -> None:
-        """Do nothing, because OpenMM saves the arrays of the program, which contain the state."""
+        """Save a sum of the forces to which an inner state belongs; OpenMM saves the arrays that contain the state."""
+        if not self._device["inner"]:
+            return
+        if self.context.getSystem().getNumForces() == self._n_forces:
+            save_forces(self.context, self._integrator())
+        else:  # OpenMM cannot evaluate forces before `reinitialize`
+            self._discard_inner()
 
-    _unmark = _withdraw = _write
-
-    def _write_shown(self) -> None:
-        """Discard the inner state, which the forces of a reinitialised Context may not continue."""
+    def _discard_inner(self) -> None:
+        """Discard the inner state, so that steps continue from the shown state."""
         self._device["inner"] = 0.0
+
+    _write_shown = _discard_inner  # the forces of a reinitialised Context may be other ones
+
+    def _withdraw(self) -> None:
+        """Do nothing, because no variables hold the state."""
+
+    _unmark = _withdraw

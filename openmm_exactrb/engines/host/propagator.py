@@ -18,7 +18,8 @@ from openmm import unit
 
 from openmm_exactrb.context import variables
 from openmm_exactrb.context.forces import ContextForces, EvaluatedForces
-from openmm_exactrb.context.synchronisation import Inner, Synchronisation
+from openmm_exactrb.context.inner import Inner
+from openmm_exactrb.context.synchronisation import Synchronisation
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.updates import ContextUpdates, conserve_energy
 from openmm_exactrb.context.variables import Numbers
