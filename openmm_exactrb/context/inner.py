@@ -38,6 +38,10 @@ class Inner(NamedTuple):
     memory: Remembered = ([], [])
     forces: Sequence[Changeable] = ()
 
+    def outdated(self, told: bool | None) -> bool:
+        """Return whether forces have changed, as OpenMM `told` the integrator or, if None, by evaluation."""
+        return any(forces.changed() for forces in self.forces) if told is None else told
+
 
 def save_forces(context: Any, integrator: Any) -> None:
     """Save a sum of the present forces in the variables of an integrator, beside its inner state."""

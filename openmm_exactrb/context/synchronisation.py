@@ -246,15 +246,10 @@ class Synchronisation:
 
         Steps then continue from the shown state. Afterwards, the Context may contain other positions and another time.
         """
-        changed = self._forces_changed()
-        if self.inner is not None and (changed or self.inner.fingerprint != self.fingerprint(self.context)):
+        told, inner = self._storage.forces_changed(), self.inner
+        if inner is not None and (inner.fingerprint != self.fingerprint(self.context) or inner.outdated(told)):
             self.inner = None
         return self.inner
-
-    def _forces_changed(self) -> bool:
-        if (noticed := self._storage.forces_changed()) is not None:
-            return noticed
-        return self.inner is not None and any(forces.changed() for forces in self.inner.forces)
 
     @functools.cached_property
     def _mark(self) -> float:
@@ -280,7 +275,7 @@ class Synchronisation:
         if not self._written or self.inner is None:
             return
         integrator = self._integrator()
-        if self.inner.fingerprint == self.fingerprint(self.context) and self._forces_changed_here():
+        if self.inner.fingerprint == self.fingerprint(self.context) and self._outdated_here(self.inner):
             self.inner = None
             return
         self._storage.write(self.inner.state, variables.INNER)
@@ -288,14 +283,14 @@ class Synchronisation:
         variables.put(integrator, variables.COORDINATES, self.inner.fingerprint)
         save_forces(self.context, integrator)
 
-    def _forces_changed_here(self) -> bool:
-        """Return whether forces have changed since the inner state was computed; the Context is not modified."""
+    def _outdated_here(self, inner: Inner) -> bool:
+        """Return whether forces have changed since an inner state was computed; the Context is not modified."""
         context: Any = self._context()
         if context.getSystem().getNumForces() != self._n_forces:  # OpenMM cannot evaluate forces before `reinitialize`
             return True
         x, time, number = self.held()[0], context.getTime(), context.getStepCount()
         try:
-            return self._forces_changed()
+            return inner.outdated(self._storage.forces_changed())
         finally:
             context.setPositions(x)
             context.setTime(time)
