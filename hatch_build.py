@@ -1,4 +1,4 @@
-"""Metadata that depends on where the package is published, and the library of the device engine in wheels.
+"""Metadata that depends on where the package is published, and the library of C++ integrators in wheels.
 
 The addresses are those of `[tool.hatch.metadata.hooks.custom]` in pyproject.toml. With them, links of the README are
 absolute, since the page of a package index has no files next to it. Without them nothing is claimed.
@@ -6,9 +6,9 @@ absolute, since the page of a package index has no files next to it. Without the
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import re
+import runpy
 import sys
 import sysconfig
 import tempfile
@@ -22,33 +22,26 @@ _PAPER = "https://doi.org/10.1137/070704393"
 _LINK = re.compile(r"(!?)\[([^\]]*)\]\((?![a-z]+:|#)([^)]+)\)")
 
 
-#: The environment variable that asks for a wheel with the library of the device engine, for the OpenMM of where it is
-#: built (python -m build --no-isolation). Other wheels are pure, and compile it at first use.
+#: The environment variable that asks for a wheel with the library, for the OpenMM of where it is built (python -m build
+#: --no-isolation). Other wheels are pure, and compile it at first use.
 PLATFORM_WHEEL = "EXACTRB_PLATFORM_WHEEL"
 _ENGINES = "openmm_exactrb/engines"
 
 
-class DeviceLibrary(BuildHookInterface):
-    """Compiles the library of the device engine into a wheel for one platform and one minor version of OpenMM."""
+class Library(BuildHookInterface):
+    """Compiles the library into a wheel for one platform."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Add the library, its version of OpenMM and the tag of the wheel."""
+        """Add the library and the tag of the wheel."""
         if self.target_name != "wheel" or version == "editable" or not os.environ.get(PLATFORM_WHEEL):
             return
-        import openmm
-
-        source = Path(self.root) / _ENGINES / "library.py"
-        spec = importlib.util.spec_from_file_location("device_library", source)
-        assert spec is not None
-        assert spec.loader is not None
-        library = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(library)
+        # The file alone, because the package cannot be imported where its requirements are not installed.
+        compilation = runpy.run_path(str(Path(self.root) / _ENGINES / "compilation.py"))
         self._folder = tempfile.TemporaryDirectory()
-        built, made_for = (Path(self._folder.name) / library.BUNDLED.with_suffix(end).name for end in (".so", ".txt"))
-        library.build(built)
+        built = Path(self._folder.name) / compilation["BUNDLED"].name
+        compilation["build"](built)
         built.chmod(0o755)
-        made_for.write_text(openmm.__version__, encoding="utf-8")
-        build_data["force_include"] |= {str(file): f"{_ENGINES}/{file.name}" for file in (built, made_for)}
+        build_data["force_include"][str(built)] = f"{_ENGINES}/{built.name}"
         build_data["pure_python"], build_data["tag"] = False, f"py3-none-{_platform()}"
 
     def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:

@@ -1,26 +1,20 @@
-"""The library of the device engine, which is loaded from a wheel, or compiled once into the user's cache.
+"""The library of C++ integrators, which is loaded from a wheel, or compiled once into the user's cache.
 
-A wheel contains the library for one minor version of OpenMM next to this module. If the wheel has no library, or OpenMM
-has another minor version, the library is compiled once, within seconds. The name of the compiled file contains a hash
-of the source, of OpenMM's version and of the compiler. The file is moved into place atomically, because two processes
-may compile at the same time.
+Wheels contain the library next to this module. Without it, the library is compiled at first use, once on a machine: the
+name of the compiled file contains a hash of all that determines it, a lock lets other processes wait, and the file is
+moved into place atomically. Where there is no library, the host engine performs all steps.
 """
 
 from __future__ import annotations
 
 import ctypes
-import hashlib
 import logging
 import os
-import platform
 import shutil
 import stat
-import subprocess
 import sys
-import tempfile
+import time
 import weakref
-from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -29,29 +23,26 @@ import numpy as np
 import openmm
 from numpy.typing import NDArray
 
+from openmm_exactrb.engines import compilation
+from openmm_exactrb.engines.compilation import BUNDLED, CompilationError
 from openmm_exactrb.errors import MissingLibraryError
+from openmm_exactrb.support.lock import only_process
 
 _log = logging.getLogger("openmm_exactrb")
 
-_HERE = Path(__file__).parent
-_DEVICE = _HERE / "device"
-#: The C++ sources of the library, and the files that they include.
-SOURCES = tuple(sorted((_DEVICE / "source").glob("*.cpp")))
-_INCLUDED = tuple(sorted((*(_DEVICE / "source").glob("*.h"), *(_DEVICE / "kernels").glob("*.cl"))))
-#: The library that a wheel contains.
-BUNDLED = _HERE / "program_integrator.so"
 #: The type of the library's integrators in XML.
 TYPE = "openmm_exactrb (import this package before you read its integrators)"
-#: The environment variable that names a compiler, and the commands that are tried if it names none.
-COMPILER = "CXX"
-_COMPILERS = ("c++", "g++", "clang++")
 #: The environment variable that names the folder for compiled libraries; the default folder is in the user's cache.
 CACHE = "EXACTRB_CACHE"
-# Multiplications and additions are not contracted, so that results do not depend on the compiler.
-_FLAGS = ("-std=c++17", "-O3", "-fno-math-errno", "-ffp-contract=off", "-fPIC", "-fvisibility=hidden", "-w")
-# Some compilers link the C++ library statically. Its symbols must not be mixed with those of OpenMM's C++ library.
-_LINKER_FLAGS = {"Linux": ("-Wl,--exclude-libs,ALL",)}
-_SYSTEMS = ("Linux", "Darwin")
+#: The duration of the compilation (s) on two idle cores.
+SECONDS = 10
+#: The environment variable that has the value NONE if the library must not be used.
+LIBRARY, NONE = "EXACTRB_LIBRARY", "none"
+#: What is said once in a process whose integrators are not those of the library.
+SLOWER = (
+    "steps are performed in Python; with the library of integrators, a single molecule would run up to 60 times as "
+    "fast, and 27 water molecules or a small peptide twice as fast: %s"
+)
 
 
 class Library:
@@ -208,118 +199,94 @@ class Device:
         return value.value
 
 
-@cache
 def library() -> Library:
     """Return the library; raise MissingLibraryError if it is not available."""
-    return Library(_found() or compiled())
+    found = _loaded()
+    if isinstance(found, str):
+        raise MissingLibraryError(found)
+    return found
+
+
+@cache
+def _loaded() -> Library | str:
+    """Return the library, or the reason why it is not available; this is found out once in a process."""
+    try:
+        return Library(_bundled() or compiled())
+    except (MissingLibraryError, CompilationError) as error:
+        return str(error)
 
 
 def of_library(integrator: Any) -> bool:
     """Return whether an integrator is one of the library, if that is loaded."""
-    return library.cache_info().currsize > 0 and library().owns(integrator)
+    loaded = _loaded() if _loaded.cache_info().currsize else None
+    return isinstance(loaded, Library) and loaded.owns(integrator)
 
 
-def _found() -> Path | None:
-    """Return the path of the wheel's library, or None if there is no library for this minor version of OpenMM."""
-    version = BUNDLED.with_suffix(".txt")
-    if not (BUNDLED.exists() and version.exists()):
-        return None
-    return BUNDLED if _minor(version.read_text().strip()) == _minor(openmm.__version__) else None
+def adopt(integrator: Any) -> None:
+    """Make a new integrator one of the library; if there is no library, say once what this means."""
+    try:
+        library().adopt(integrator)
+    except MissingLibraryError as error:
+        _say_slower(str(error))
 
 
-def _minor(version: str) -> list[str]:
-    return version.split(".")[:2]
+@cache
+def _say_slower(reason: str) -> None:
+    _log.warning(SLOWER, reason)
 
 
 def describe() -> str:
     """Return the path of the library, or a sentence that states how it will be compiled or why it is not available."""
     try:
-        path = _found() or cached()
-        if not path.exists():
-            openmm_folder()  # raises an error if headers are missing
-    except MissingLibraryError as error:
+        path = _bundled() or cached()
+        if path.exists():
+            return str(path)
+        compilation.openmm_folder()  # raises an error if headers are missing
+    except (MissingLibraryError, CompilationError) as error:
         return f"not available: {error}"
-    return str(path) if path.exists() else f"to be compiled by {compiler()} at first use, which takes some seconds"
+    return f"to be compiled by {compilation.compiler()} at first use, which takes some seconds"
+
+
+def _bundled() -> Path | None:
+    """Return the path of the wheel's library, or None if the wheel has none; raise errors if no library may be used."""
+    asked = os.environ.get(LIBRARY, "")
+    if asked == NONE:
+        raise MissingLibraryError(f"the environment variable {LIBRARY} is {NONE}: unset it")
+    if asked:
+        raise ValueError(f"the environment variable {LIBRARY} is {asked!r}: unset it, or set it to {NONE!r}")
+    compilation.check_openmm()
+    return BUNDLED if BUNDLED.exists() else None
 
 
 def cached() -> Path:
     """Return the path of the library in the user's cache, where the file may not exist yet."""
-    found = compiler()
-    texts = [file.name.encode() + file.read_bytes() for file in (*SOURCES, *_INCLUDED)]
-    flags = " ".join((*_FLAGS, *_LINKER_FLAGS.get(platform.system(), ())))
-    what = (*texts, flags.encode(), openmm.__version__.encode(), _told(found, "--version").encode(), found.encode())
-    digest = hashlib.sha256(b"\0".join(what)).hexdigest()[:16]
-    return private_folder() / f"program_integrator-openmm{openmm.__version__}-{digest}.so"
+    return private_folder() / f"program_integrator-openmm{openmm.__version__}-{compilation.digest()}.so"
 
 
 def compiled() -> Path:
     """Return the path of the library in the user's cache, after compiling the library if it is missing."""
     path = cached()
-    if not path.exists():
-        _log.warning("compiling the device engine, which takes a few seconds; later processes load it from the cache")
-        build(path)
-    _check_owner(path)
+    try:
+        if not path.exists():
+            with only_process(path.with_name("lock"), wait=True) as locked:
+                if locked:  # what is left was left by a process that was killed
+                    for left in path.parent.glob(f"{compilation.TEMPORARY}*"):
+                        shutil.rmtree(left, ignore_errors=True)
+                if not path.exists():
+                    _compile(path)
+        _check_owner(path)
+    except OSError as error:
+        raise MissingLibraryError(
+            f"the library cannot be compiled ({error}): set the environment variable {CACHE} to another folder"
+        ) from error
     return path
 
 
-def compiler() -> str:
-    """Return the path of a C++ compiler; raise MissingLibraryError if there is no compiler."""
-    if platform.system() not in _SYSTEMS:
-        raise MissingLibraryError(f"the device engine needs Linux or macOS, not {platform.system()}")
-    names = (os.environ.get(COMPILER), *_COMPILERS)
-    found = next((path for path in map(shutil.which, filter(None, names)) if path), None)
-    if found is None:
-        raise MissingLibraryError(
-            "the device engine has to be compiled for this OpenMM, but no C++ compiler was found: install g++ or "
-            f"clang++, or name a compiler in the environment variable {COMPILER}"
-        )
-    return found
-
-
-def _told(command: str, *arguments: str) -> str:
-    return subprocess.run([command, *arguments], capture_output=True, text=True, check=False).stdout
-
-
-def openmm_folder() -> Path:
-    """Return the folder that contains OpenMM's `include` and `lib`; raise MissingLibraryError if headers are missing.
-
-    The folder belongs to OpenMM's wheel, or is the prefix of a conda environment.
-    """
-    package = Path(openmm.__file__).parent
-    candidates = (package.parent / "OpenMM.libs", *package.parents)
-    for folder in candidates:
-        if (folder / "include" / "openmm" / "common" / "ComputeContext.h").exists():
-            return folder
-    raise MissingLibraryError(
-        f"the device engine has to be compiled, but OpenMM in {package} has no headers: install OpenMM from PyPI or "
-        "conda-forge"
-    )
-
-
-def build(path: Path, command: str | None = None) -> None:
-    """Compile the library to a path; raise MissingLibraryError with the compiler's first error after a failure."""
-    command, folder = command or compiler(), openmm_folder()
-    with tempfile.TemporaryDirectory(dir=path.parent) as temporary:
-        compiling = (command, f'-DBUILT_FOR="{openmm.__version__}"', *_FLAGS, f"-I{folder / 'include'}", "-c")
-        objects = [Path(temporary) / source.with_suffix(".o").name for source in SOURCES]
-        with ThreadPoolExecutor() as threads:
-            list(threads.map(lambda source, out: _run((*compiling, str(source), "-o", str(out))), SOURCES, objects))
-        linked = Path(temporary) / path.name
-        flags = ("-shared", *_LINKER_FLAGS.get(platform.system(), ()))
-        _run((command, *flags, *map(str, objects), "-o", str(linked), f"-L{folder / 'lib'}", "-lOpenMM", "-ldl"))
-        linked.chmod(0o700)
-        linked.replace(path)
-
-
-def _run(command: Sequence[str]) -> None:
-    """Run a compiler; raise MissingLibraryError with its first error after a failure."""
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode:
-        errors = [line for line in done.stderr.splitlines() if "error" in line] or done.stderr.splitlines()
-        raise MissingLibraryError(
-            f"{command[0]} cannot compile the device engine ({(errors or ['no message'])[0]}): name another C++ "
-            f"compiler in the environment variable {COMPILER}"
-        )
+def _compile(path: Path) -> None:
+    _log.warning("compiling the library of integrators, once on this machine, which takes about %d seconds", SECONDS)
+    start = time.perf_counter()
+    compilation.build(path)
+    _log.warning("compiled in %.0f s; later processes load %s", time.perf_counter() - start, path)
 
 
 def private_folder() -> Path:

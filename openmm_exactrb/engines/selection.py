@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -11,8 +10,7 @@ import openmm
 from openmm_exactrb.context import variables
 from openmm_exactrb.engines.catalogue import ENGINES, in_order
 from openmm_exactrb.engines.engine import Engine, Settings
-from openmm_exactrb.engines.library import library
-from openmm_exactrb.errors import MissingLibraryError
+from openmm_exactrb.engines.library import adopt
 
 #: The value of `engine` that selects the first engine that supports the Context and is recommended for it.
 AUTO = "auto"
@@ -52,8 +50,7 @@ class Selection:
 
     def declare(self, integrator: openmm.CustomIntegrator, settings: Settings) -> None:
         """Make a new integrator one of the library, if there is one, and give it its variables."""
-        with contextlib.suppress(MissingLibraryError):
-            library().adopt(integrator)
+        adopt(integrator)
         self.engine.declare(integrator, settings)
 
     def settle(self, context: Any, integrator: openmm.CustomIntegrator, settings: Settings) -> None:

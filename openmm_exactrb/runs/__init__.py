@@ -1,8 +1,7 @@
 """Runs that survive interruptions: checkpoints, and output files that a resumed run truncates to the last checkpoint.
 
 `Run` in `run` is the public class. `identity` determines to which run a checkpoint belongs, `checkpoint` defines its
-file, `outputs` manages the files of the reporters, `lock` keeps other processes out of the folder, and `signals`
-records requests to stop.
+file, `outputs` manages the files of the reporters, and `signals` records requests to stop.
 """
 
 from openmm_exactrb.runs.checkpoint import CHECKPOINT

@@ -21,10 +21,10 @@ from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.runs import checkpoint
 from openmm_exactrb.runs.checkpoint import CHECKPOINT, Checkpoint
 from openmm_exactrb.runs.identity import identity_of, setting_text
-from openmm_exactrb.runs.lock import only_process
 from openmm_exactrb.runs.outputs import TOPOLOGY, Outputs
 from openmm_exactrb.runs.signals import Signals
 from openmm_exactrb.support.checks import not_negative, whole
+from openmm_exactrb.support.lock import only_process
 from openmm_exactrb.support.messages import shown
 
 _OPTIONS = ("out", "overwrite", "resume", "checkpoint")

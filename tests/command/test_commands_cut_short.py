@@ -7,7 +7,7 @@ import pytest
 from processes_of_command import launch
 
 from openmm_exactrb.command.main import main
-from openmm_exactrb.runs.lock import only_process
+from openmm_exactrb.support.lock import only_process
 
 # Status of a command after Ctrl-C. A shell shows 130 for both: CPython ends itself by the signal if it came in exec.
 STOPPED = 130, -signal.SIGINT

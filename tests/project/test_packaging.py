@@ -3,12 +3,17 @@
 import json
 import re
 import runpy
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
 import pytest
 import yaml
 from publish import publish
+
+from openmm_exactrb.engines import compilation
+from openmm_exactrb.engines.compilation import OPENMM
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -17,7 +22,7 @@ RECIPE = yaml.safe_load((ROOT / "packaging" / "conda" / "recipe.yaml").read_text
 
 def lowest(requirements):
     """Return the lowest version of each requirement that has one, by name."""
-    found = (re.fullmatch(r"([\w-]+)(?:\[.*\])? ?>=([\d.]+)", text) for text in requirements)
+    found = (re.fullmatch(r"([\w-]+)(?:\[.*\])? ?>=([\d.]+)(?:,<[\d.]+)?", text) for text in requirements)
     return {match[1]: tuple(map(int, match[2].split("."))) for match in found if match}
 
 
@@ -36,6 +41,35 @@ def test_the_lowest_versions_are_those_that_are_tested():
     for name, version in allowed.items():
         assert pinned[name][: len(version)] == version
         assert not any(pinned[name][len(version) :]), "the first one of its row"
+
+
+def test_the_version_of_openmm_is_that_of_the_library():
+    """Classes have another layout in every minor version."""
+    major, minor = map(int, OPENMM.split("."))
+    allowed = f">={OPENMM},<{major}.{minor + 1}"
+    assert f"openmm{allowed}" in PROJECT["dependencies"]
+    assert f"openmm {allowed}" in RECIPE["requirements"]["run"]
+    assert f"openmm {allowed}" in RECIPE["requirements"]["host"]
+    text = (ROOT / ".github" / "workflows" / "release.yml").read_text(encoding="utf-8")
+    assert f'"openmm{allowed}"' in text
+
+
+def test_the_versions_of_python_are_those_that_are_tested():
+    found = [re.fullmatch(r"Programming Language :: Python :: (3\.\d+)", text) for text in PROJECT["classifiers"]]
+    tests = yaml.safe_load((ROOT / ".github" / "workflows" / "tests.yml").read_text(encoding="utf-8"))
+    assert [match[1] for match in found if match] == tests["jobs"]["tests"]["strategy"]["matrix"]["python"]
+
+
+def test_the_library_can_be_compiled_where_only_openmm_is_installed():
+    """As in the environments where wheels are built."""
+    absent = ("numba", "numpy", "scipy", "openmm_exactrb")
+    script = f"""
+import openmm, runpy, sys
+sys.modules |= dict.fromkeys({absent!r})
+print(runpy.run_path({compilation.__file__!r})["openmm_folder"]())
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert Path(done.stdout.strip()) == compilation.openmm_folder()
 
 
 def test_the_conda_recipe_says_what_the_project_says():

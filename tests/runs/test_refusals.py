@@ -9,7 +9,8 @@ from openmm import app
 from small_droplets import droplet, go_on, make, same_bytes
 
 import openmm_exactrb as rb
-from openmm_exactrb.runs import checkpoint, lock
+from openmm_exactrb.runs import checkpoint
+from openmm_exactrb.support.lock import only_process
 from starts import simulation_of
 
 
@@ -90,7 +91,7 @@ def test_overwrite_replaces_and_resume_comes_first(half):
 
 
 def test_two_processes_do_not_work_in_one_folder(half):
-    with lock.only_process(half):
+    with only_process(half):
         refused(half, "another process is running", BlockingIOError)
     go_on(half)
 

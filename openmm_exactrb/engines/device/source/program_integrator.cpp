@@ -728,11 +728,15 @@ string minorVersion(const string& version) {
 
 } // namespace
 
-#pragma GCC visibility push(default)
+#ifdef _WIN32
+#define EXPORTED __declspec(dllexport)
+#else
+#define EXPORTED __attribute__((visibility("default")))
+#endif
 extern "C" {
 
 // Register the class for XmlSerializer. If the library was built for another version of OpenMM, return that version.
-const char* pi_register() {
+EXPORTED const char* pi_register() {
     static bool done = false;
     if (minorVersion(Platform::getOpenMMVersion()) != minorVersion(BUILT_FOR))
         return BUILT_FOR;
@@ -741,20 +745,20 @@ const char* pi_register() {
     done = true;
     return NULL;
 }
-void registerPlatforms() {  // required by Platform.loadPluginLibrary
+EXPORTED void registerPlatforms() {  // required by Platform.loadPluginLibrary
 }
-void registerKernelFactories() {
+EXPORTED void registerKernelFactories() {
     pi_register();
 }
-const char* pi_error() {
+EXPORTED const char* pi_error() {
     return lastError.c_str();
 }
 // Define an exported function that returns 0, or 1 after an error.
 #define EXPORT(name, parameters, action) \
-    int pi_##name parameters { \
+    EXPORTED int pi_##name parameters { \
         return guarded(integrator, [&](ProgramIntegrator& it) { action; }); \
     }
-int pi_owns(void* integrator) {
+EXPORTED int pi_owns(void* integrator) {
     return guarded(integrator, [](ProgramIntegrator&) {}) == 0;
 }
 EXPORT(program, (void* integrator, const char* text), it.setProgram(text))
@@ -774,4 +778,3 @@ EXPORT(count, (void* integrator, int which, long long* value), *value = which ==
 // Return the bits of external changes, and then clear some of them.
 EXPORT(changes, (void* integrator, int clear, int* value), *value = it.changes; it.changes &= ~clear)
 }
-#pragma GCC visibility pop
