@@ -108,9 +108,9 @@ def tops(start, variant, last, h=TOP_STEP):
 
 
 @cache
-def dipoles_of(start):
-    """Return the system of 27 dipoles, and the positions and velocities of a droplet that rests as a whole."""
-    topology, system, positions = rb.dipole_fluid(27, seed=start)
+def dipoles_of(start, n=27, kernel="auto"):
+    """Return the system of n dipoles, and the positions and velocities of a droplet that rests as a whole."""
+    topology, system, positions = rb.dipole_fluid(n, seed=start, kernel=kernel)
     system.addForce(springs([atom.index for atom in topology.atoms() if atom.name == "C"]))
     integrator = rb.ExactRigidBodyIntegrator(0.001, "SRKN4_6b")
     context = context_of(system, integrator, positions, "Reference")
