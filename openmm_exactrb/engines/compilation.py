@@ -32,7 +32,7 @@ COMPILER = "CXX"
 TEMPORARY = "compiling-"
 
 _SYSTEM = platform.system()
-_COMPILERS = ("cl",) if _SYSTEM == "Windows" else ("c++", "g++", "clang++")
+_COMPILERS: tuple[str, ...] = ("cl",) if _SYSTEM == "Windows" else ("c++", "g++", "clang++")
 _TO_INSTALL = (
     "start Python from the developer prompt of Visual Studio" if _SYSTEM == "Windows" else "install g++ or clang++"
 )
@@ -64,14 +64,13 @@ def check_openmm() -> None:
 
 def compiler() -> str:
     """Return the path of a C++ compiler; raise CompilationError if there is no compiler."""
-    names = (os.environ.get(COMPILER), *_COMPILERS)
-    found = next((path for path in map(shutil.which, filter(None, names)) if path), None)
-    if found is None:
-        raise CompilationError(
-            f"the library has to be compiled, but no C++ compiler was found: {_TO_INSTALL}, or name a compiler in the "
-            f"environment variable {COMPILER}"
-        )
-    return found
+    for name in (os.environ.get(COMPILER), *_COMPILERS):
+        if name and (found := shutil.which(name)):
+            return found
+    raise CompilationError(
+        f"the library has to be compiled, but no C++ compiler was found: {_TO_INSTALL}, or name a compiler in the "
+        f"environment variable {COMPILER}"
+    )
 
 
 def openmm_folder() -> Path:
