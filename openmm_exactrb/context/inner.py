@@ -30,7 +30,7 @@ class Inner(NamedTuple):
     memory : Remembered
         The forces of the last kicks.
     forces : sequence of Changeable
-        The forces to which the state belongs, unless the state was loaded or OpenMM tells of changed forces.
+        The forces to which the state belongs, unless the state was loaded or OpenMM reports changed forces.
     """
 
     state: State
@@ -44,7 +44,7 @@ class Inner(NamedTuple):
 
 
 def save_forces(context: Any, integrator: Any) -> None:
-    """Save a sum of the present forces in the variables of an integrator, beside its inner state."""
+    """Save a sum of the present forces in the variables of an integrator together with its inner state."""
     variables.put(integrator, variables.FORCES, _sum_of_forces(context, integrator)[0])
 
 
