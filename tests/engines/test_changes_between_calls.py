@@ -296,6 +296,26 @@ def test_every_change_is_noticed_with_a_thermostat(scheme, place):
     cases(place, scheme, rng, changes, flexible=True, thermostat=True)
 
 
+@pytest.mark.parametrize("place", ["host", "kernels"])
+def test_bonds_that_become_stiff_have_inner_steps_or_an_error(place):
+    """As if they had been stiff; the program of kernels has no inner steps before the Context is made anew."""
+    run = Run(place, "W2_1", True)
+    bond = run.force("bonds")
+    for stiffness in (0.0, 3e5):
+        for k in range(bond.getNumBonds()):
+            i, j, length, _ = bond.getBondParameters(k)
+            bond.setBondParameters(k, i, j, length, stiffness)
+        if not stiffness:
+            run.context.reinitialize(preserveState=True)
+            run.integrator.step(3)
+    bond.updateParametersInContext(run.context)
+    if place == "kernels":
+        with pytest.raises(ValueError, match=r"call context.reinitialize\(preserveState=True\)"):
+            run.integrator.step(1)
+        run.context.reinitialize(preserveState=True)
+    assert_goes_on_from_what_is_shown(run)
+
+
 # -- what changes nothing ---------------------------------------------------------------------------------------------
 
 
