@@ -7,7 +7,7 @@ from typing import Any
 
 import openmm
 
-from openmm_exactrb.context.solver import satisfied, solvable
+from openmm_exactrb.context.solver import mended, satisfied, solvable
 from openmm_exactrb.errors import MinimisationError
 from openmm_exactrb.openmm_access import arrays
 
@@ -35,6 +35,8 @@ def minimise_by_integrators(kind: type[Any]) -> None:
         if not isinstance(integrator, kind):
             OPENMM(context, tolerance, maxIterations, reporter)
             return
+        if not integrator.getNamedBodies():
+            mended(context)
         system, start = context.getSystem(), arrays.positions(context.getState(positions=True))
         if not integrator.getNamedBodies() and solvable(system, start):
             OPENMM(context, tolerance, maxIterations, reporter)

@@ -13,6 +13,7 @@ import numpy as np
 import openmm
 from openmm import app, unit
 
+from openmm_exactrb.context.solver import mended
 from openmm_exactrb.context.updates import UPDATES, names_of_updates
 from openmm_exactrb.errors import IntegrationError
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
@@ -135,6 +136,7 @@ def thermalised(state: InitialState, temperature: float, seed: int, minimised: b
     """Bring a state to a temperature in K, within a third of the budget; raise ValueError if this fails."""
     integrator, context = state.langevin(temperature, seed)
     if minimised:
+        mended(context)
         minimise(integrator)
     integrator.setVelocitiesToTemperature(temperature, seed)
     least, kinetic = (1.0 - _SHARE) * budget.left, []
