@@ -81,7 +81,7 @@ class Start:
 
 
 def slightly(rng):
-    return rng.uniform(-0.05, 0.05)
+    return rng.choice([-1.0, 1.0]) * rng.uniform(0.002, 0.05)
 
 
 def far(rng):
