@@ -251,11 +251,6 @@ class Synchronisation:
             self.inner = None
         return self.inner
 
-    @functools.cached_property
-    def _mark(self) -> float:
-        """The value of the first variable of an integrator that holds a state."""
-        return variables.written(variables.own_numbers(self._integrator()))
-
     def saved(self, x: Array, v: Array) -> State | None:
         """Return the state from a loaded checkpoint or State, if any, given positions x and velocities v."""
         return variables.read(self._integrator(), self._storage)
@@ -304,7 +299,7 @@ class Synchronisation:
         if self._written:
             self._storage.write(self.state)
             variables.put(integrator, variables.COORDINATES, 0.0)
-            variables.mark(integrator, self._mark)
+            variables.mark(integrator, self._storage.mark)
 
     def _unmark(self) -> None:
         """Remove the mark, so that only loaded variables have a mark."""

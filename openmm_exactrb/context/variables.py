@@ -26,10 +26,11 @@ PREFIX = "exactrb_"
 _VECTORS = tuple(f"{name}{part}" for part in ("", "_low") for name in "RPmqw")
 #: Prefixes of the state that the Context shows, and of the state in the inner coordinates of a processed scheme.
 SHOWN, INNER = "", "inner_"
-# Whether the variables hold a state, and whether Python performs a step. Values from _WRITTEN to below _STEPPING mean
-# that the variables hold a state, and identify its format; see `written`.
+# Whether there is a state, and whether Python performs a step. Values from _WRITTEN to below _STEPPING mean that the
+# variables hold a state, and identify its format; see `written`. _LIBRARY or _DEVICE is added to such a value if the
+# library's integrator stores the state of the host, or if the state is on a device.
 _STORED = "stored"
-NOTHING, _WRITTEN, _STEPPING, _DEVICE = 0.0, 1.0, 2.0, 4.0
+NOTHING, _WRITTEN, _STEPPING, _LIBRARY, _DEVICE = 0.0, 1.0, 2.0, 2.0, 4.0
 #: What identifies that to which the inner state belongs (0 without an inner state), a sum of the forces at the saved
 #: positions, and the numbers of forces and of differences of displaced forces that are stored with the inner state.
 COORDINATES, FORCES, REMEMBERED, DIFFERENCES = "coordinates", "forces", "remembered", "differences"
@@ -46,6 +47,12 @@ _NOT_BY_OPENMM = (
 #: Message about a checkpoint that another engine wrote.
 OTHER_ENGINE = (
     'the loaded checkpoint is from a run with engine="{0}": create the integrator with engine="{0}" or "auto"'
+)
+#: Message about a checkpoint of the host engine from a process with the library in one without it, or the reverse.
+OTHER_STORAGE = (
+    "the loaded checkpoint or State was saved {0} the library of openmm_exactrb, but this integrator stores its state "
+    "{1} the library: continue the run {0} the library (exactrb info shows whether there is one), or load only "
+    "positions and velocities of a State into a new Context with openmm_exactrb.loadState"
 )
 #: Message about a checkpoint that has another format.
 OTHER_FORMAT = (
@@ -89,9 +96,14 @@ def written(own: Sequence[str]) -> float:
     return _WRITTEN + (1 + zlib.crc32(" ".join(own).encode())) / 2**33 if own else _WRITTEN
 
 
-def marks(own: Sequence[str] = ()) -> tuple[float, float]:
-    """Return the possible first numbers of an integrator that holds a state and has the numbers `own`."""
-    return written(own), _STEPPING
+def by_library(own: Sequence[str]) -> float:
+    """Return the first number, from 3 to below 4, of an integrator of the library that stores a state of the host."""
+    return written(own) + _LIBRARY
+
+
+def marks(own: Sequence[str] = ()) -> tuple[float, float, float]:
+    """Return the possible first numbers of an integrator that holds a state of the host and has the numbers `own`."""
+    return written(own), by_library(own), _STEPPING
 
 
 def declared(integrator: openmm.CustomIntegrator) -> bool:
@@ -172,6 +184,10 @@ def marked(integrator: openmm.CustomIntegrator) -> bool:
 class Storage(Protocol):
     """Where an integrator stores the state of the bodies for checkpoints and States."""
 
+    @property
+    def mark(self) -> float:
+        """The first number of an integrator that holds a state in this storage."""
+
     def write(self, state: State, which: str = SHOWN) -> None:
         """Write the double-doubles of a state."""
 
@@ -193,6 +209,11 @@ class PerDof:
 
     def __init__(self, integrator: openmm.CustomIntegrator, bodies: RigidBodies) -> None:
         self._reference, self._bodies = weakref.ref(integrator), bodies
+
+    @property
+    def mark(self) -> float:
+        """The first number of an integrator that holds a state in this storage."""
+        return written(own_numbers(self._integrator))
 
     @property
     def _integrator(self) -> Any:
@@ -250,7 +271,13 @@ class PerDof:
 
 
 def read(integrator: openmm.CustomIntegrator, storage: Storage, which: str = SHOWN) -> State | None:
-    """Return the double-doubles of a state, or None if no state was written."""
+    """Return the double-doubles of a state, or None if no state was written.
+
+    A ValueError is raised if the state is in the other storage of the host, whose values are not there.
+    """
+    of_library = by_library(own := own_numbers(integrator))
+    if {get(integrator, _STORED), storage.mark} == {written(own), of_library}:
+        raise ValueError(OTHER_STORAGE.format(*("without", "with")[:: 1 if storage.mark == of_library else -1]))
     state = storage.read(which) if marked(integrator) else None
     if state is None or not state.q[0].any(axis=0).all():  # `reinitialize` keeps numbers, but not vectors
         return None

@@ -13,7 +13,6 @@ import openmm_exactrb as rb
 import starts
 from on_device import platform_for
 from openmm_exactrb.engines import selection
-from openmm_exactrb.errors import MissingLibraryError
 from openmm_exactrb.schemes import WITH_THERMOSTAT
 from starts import REFERENCE, positions_of, velocities_of
 
@@ -61,11 +60,6 @@ def mixture(flexible):
     return system, np.concatenate([x, places])
 
 
-def no_library():
-    """Raise the error of a machine without a library."""
-    raise MissingLibraryError("none")
-
-
 class Run:
     """A Context of a place, and what `fresh` needs to know of it."""
 
@@ -86,7 +80,7 @@ class Run:
         engine = "device" if place in ("kernels", "OpenCL") else "host"
         with pytest.MonkeyPatch.context() as patch:
             if place == "no library":
-                patch.setattr(selection, "library", no_library)
+                patch.setattr(selection, "adopt", lambda integrator: None)
             return rb.ExactRigidBodyIntegrator(self.h, self.scheme, engine=engine, thermostat=thermostat)
 
     def fresh(self):
@@ -365,9 +359,9 @@ def test_forces_that_change_by_themselves_leave_the_inner_state(place, scheme, p
 # -- what is saved ----------------------------------------------------------------------------------------------------
 
 
-def continued(run, how, system=None):
-    """Return a new Context of the same System, or another one, that continues from what is saved now."""
-    integrator = run.made(run.place)
+def continued(run, how, system=None, place=None):
+    """Return a new Context of the same System and place, or another one, that continues from what is saved now."""
+    integrator = run.made(place or run.place)
     integrator.setStepSize(run.integrator.getStepSize())
     integrator.setIntegrationForceGroups(run.integrator.getIntegrationForceGroups())
     context = openmm.Context(copy.deepcopy(system or run.system), integrator, *run.platform.values())
@@ -405,6 +399,33 @@ def test_what_is_saved_behind_a_change_continues_with_the_same_bits(scheme, plac
             np.testing.assert_array_equal(shown(other), shown(run.context), err_msg=str(change))
         else:  # OpenMM sorts molecules anew
             np.testing.assert_allclose(shown(other), shown(run.context), rtol=0.0, atol=1e-10, err_msg=str(change))
+
+
+@pytest.mark.parametrize("scheme", ["S2_2", "W4_4"])
+@pytest.mark.parametrize(
+    ("how", "before", "after", "message"),
+    [
+        ("checkpoint", "host", "no library", "saved with the library .* stores its state without the library"),
+        ("State", "host", "no library", "saved with the library .* stores its state without the library"),
+        ("checkpoint", "no library", "host", "saved without the library .* stores its state with the library"),
+        ("State", "no library", "host", "another scheme, thermostat or engine"),
+        ("checkpoint", "kernels", "no library", 'is from a run with engine="device"'),
+        ("checkpoint", "no library", "kernels", 'is from a run with engine="host"'),
+    ],
+)
+def test_what_an_integrator_cannot_read_is_refused(scheme, how, before, after, message):
+    """Also by an integrator that has already performed steps."""
+    run = Run(before, scheme, False)
+    run.integrator.step(3)
+    with pytest.raises((ValueError, openmm.OpenMMException), match=message):
+        context = continued(run, how, place=after)
+        context.getIntegrator().step(1)
+    other = Run(after, scheme, False)
+    other.integrator.step(2)
+    if how == "checkpoint":
+        other.context.loadCheckpoint(run.context.createCheckpoint())
+        with pytest.raises(ValueError, match=message):
+            other.integrator.step(1)
 
 
 @pytest.mark.parametrize("place", PLACES)

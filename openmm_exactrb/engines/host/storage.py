@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from openmm_exactrb.context.variables import INNER, SHOWN, PerDof, Storage
+from openmm_exactrb.context.variables import INNER, SHOWN, PerDof, Storage, by_library, own_numbers
 from openmm_exactrb.engines.engine import Settings
 from openmm_exactrb.engines.library import Device, library, of_library
 from openmm_exactrb.mechanics.bodies import RigidBodies
@@ -24,6 +24,8 @@ class ProgramStorage:
     def __init__(self, integrator: Any, bodies: RigidBodies, memory: int | None) -> None:
         n, turning = len(bodies), bodies.n_turning
         self._device, self._memory = Device(library(), integrator), memory or 0
+        #: The first number of an integrator that holds a state in this storage.
+        self.mark = by_library(own_numbers(integrator))
         self._shapes = {"R": (2, 3, n), "P": (2, 3, n), "q": (2, 4, turning), "m": (2, 3, turning)}
         self._which = (SHOWN,) if memory is None else (SHOWN, INNER)
         self._of_forces = (3, n), (3, turning)
