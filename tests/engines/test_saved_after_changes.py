@@ -1,0 +1,106 @@
+"""What is saved after changes continues the same run, and what cannot be continued is refused."""
+
+import copy
+import itertools
+import random
+
+import numpy as np
+import openmm
+import pytest
+
+from changes import (
+    CHANGES,
+    PLACES,
+    Run,
+    assert_goes_on_from_what_is_shown,
+    charges,
+    minimiser,
+    removed_force,
+    restraint,
+    shown,
+)
+
+
+def continued(run, how, system=None, place=None):
+    """Return a new Context of the same System and place, or another one, that continues from what is saved now."""
+    integrator = run.made(place or run.place)
+    integrator.setStepSize(run.integrator.getStepSize())
+    integrator.setIntegrationForceGroups(run.integrator.getIntegrationForceGroups())
+    context = openmm.Context(copy.deepcopy(system or run.system), integrator, *run.platform.values())
+    if how == "checkpoint":
+        context.loadCheckpoint(run.context.createCheckpoint())
+        return context
+    state = run.context.getState(positions=True, velocities=True, parameters=True, integratorParameters=True)
+    context.setState(openmm.XmlSerializer.deserialize(openmm.XmlSerializer.serialize(state)))
+    return context
+
+
+def first_step(context):
+    context.getIntegrator().step(1)
+
+
+@pytest.mark.parametrize("looks", [True, False])
+@pytest.mark.parametrize("how", ["checkpoint", "State"])
+@pytest.mark.parametrize(
+    ("scheme", "place"),
+    [
+        *itertools.product(["S2_2", "W2_1", "W4_4"], ["host", "no library", "kernels"]),
+        pytest.param("W2_1", "OpenCL", marks=pytest.mark.opencl),
+    ],
+)
+def test_what_is_saved_behind_a_change_continues_with_the_same_bits(scheme, place, how, looks):
+    rng = random.Random(f"{scheme}{place}{how}{looks}")
+    changes = rng.sample([c for c in CHANGES if c not in (removed_force, minimiser)], 3 if place != "OpenCL" else 1)
+    for change in (None, *changes):
+        run = Run(place, scheme, False)
+        run.integrator.step(rng.choice([0, 1, 5]))
+        if change is not None:
+            change(run, rng)
+        if looks:
+            run.integrator.step(0)
+        other = continued(run, how)
+        for context in (run.context, other):
+            context.getIntegrator().step(4)
+        if place != "OpenCL" or how == "checkpoint":
+            np.testing.assert_array_equal(shown(other), shown(run.context), err_msg=str(change))
+        else:  # OpenMM sorts molecules anew
+            np.testing.assert_allclose(shown(other), shown(run.context), rtol=0.0, atol=1e-10, err_msg=str(change))
+
+
+@pytest.mark.parametrize("scheme", ["S2_2", "W4_4"])
+@pytest.mark.parametrize(
+    ("how", "before", "after", "message"),
+    [
+        ("checkpoint", "host", "no library", "saved with the library .* stores its state without the library"),
+        ("State", "host", "no library", "saved with the library .* stores its state without the library"),
+        ("checkpoint", "no library", "host", "saved without the library .* stores its state with the library"),
+        ("State", "no library", "host", "another scheme, thermostat or engine"),
+        ("checkpoint", "kernels", "no library", 'is from a run with engine="device"'),
+        ("checkpoint", "no library", "kernels", 'is from a run with engine="host"'),
+    ],
+)
+def test_what_an_integrator_cannot_read_is_refused(scheme, how, before, after, message):
+    """Also by an integrator that has already performed steps."""
+    run = Run(before, scheme, False)
+    run.integrator.step(3)
+    with pytest.raises((ValueError, openmm.OpenMMException), match=message):
+        first_step(continued(run, how, place=after))
+    other = Run(after, scheme, False)
+    other.integrator.step(2)
+    if how == "checkpoint":
+        other.context.loadCheckpoint(run.context.createCheckpoint())
+        with pytest.raises(ValueError, match=message):
+            other.integrator.step(1)
+
+
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("how", ["checkpoint", "State"])
+def test_what_is_loaded_into_a_context_with_other_forces_goes_on_from_what_is_shown(place, how):
+    """As from an equilibration with restraints."""
+    run, other = Run(place, "W2_1", False), Run(place, "W2_1", False)
+    for of_run, change in ((run, restraint), (other, charges)):
+        change(of_run, random.Random(1))
+    run.integrator.step(12)
+    other.context = continued(run, how, other.system)
+    other.integrator = other.context.getIntegrator()
+    assert_goes_on_from_what_is_shown(other)
