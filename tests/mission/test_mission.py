@@ -36,7 +36,7 @@ def test_soft_dipoles_keep_their_energy_to_roundoff(scheme, h, steps, tmp_path):
     home = tmp_path / "home"
     home.mkdir()
     alone = kept | {"HOME": str(home), "PATH": str(home), "PYTHONPATH": paths}
-    command = [sys.executable, str(HERE / "soft_dipoles.py"), scheme, str(h), str(steps), str(tmp_path)]
+    command = [sys.executable, str(HERE / "soft_dipoles_in_python.py"), scheme, str(h), str(steps), str(tmp_path)]
     done = subprocess.run(command, env=alone, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "no C++ compiler was found" in done.stderr
