@@ -10,7 +10,7 @@ from openmm import app, unit
 import openmm_exactrb as rb
 import starts
 from on_device import platform_for
-from openmm_exactrb.engines import library
+from openmm_exactrb.engines import selection
 from openmm_exactrb.schemes import WITH_THERMOSTAT
 from starts import REFERENCE, positions_of, velocities_of
 
