@@ -6,6 +6,7 @@ import pytest
 import openmm_exactrb as rb
 import oracle
 from openmm_exactrb.mathematics import quaternions
+from openmm_exactrb.mathematics.compensated import exactly
 
 # h*omega from 1e-8 to 0.3 and from 0.3 to 1e4.
 STEPS = {"short": (1e-8, 0.3), "long": (0.3, 1e4)}
@@ -71,6 +72,18 @@ def test_a_momentum_beside_an_axis_in_denormal_numbers_turns_about_it(twin):
         expected[0], expected[1 + axis] = np.cos(angle / 2), np.sin(angle / 2)
         np.testing.assert_allclose(q, expected, rtol=0.0, atol=1e-15)
         np.testing.assert_allclose(m1, np.eye(3)[axis], rtol=0.0, atol=1e-15)
+
+
+@pytest.mark.parametrize("parts", [1, 2])
+def test_steps_of_more_than_half_a_turn_keep_the_norm(twin, parts):
+    """In a step that is short for the elliptic functions, a body that is nearly a sphere may turn by any angle."""
+    flow = rb.rotors.rotor_of_sums(twin, [1.0, 1.001, 1.002])
+    q, m = (exactly(np.array(x)[:, None])[:parts] for x in ([0.5, 0.5, -0.5, 0.5], [0.3, -0.5, 0.8]))
+    spatial = quaternions.rotation_matrix(q[0].T)[0] @ m[0, :, 0]
+    for _ in range(300):
+        q, m = flow(q, m, 4.5)
+    assert abs(np.linalg.norm(q[0]) - 1.0) < 1e-15
+    np.testing.assert_allclose(quaternions.rotation_matrix(q[0].T)[0] @ m[0, :, 0], spatial, rtol=0.0, atol=1e-14)
 
 
 def drift_of_invariants(n_steps, method, n=32):

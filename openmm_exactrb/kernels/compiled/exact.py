@@ -46,11 +46,12 @@ def _short_block(block):
         q0, q1, q2, q3 = block[8 * _BLOCK + i], block[9 * _BLOCK + i], block[10 * _BLOCK + i], block[11 * _BLOCK + i]
         l0, l1, l2, l3 = block[16 * _BLOCK + i], block[17 * _BLOCK + i], block[18 * _BLOCK + i], block[19 * _BLOCK + i]
         p0, p1, p2, p3 = product(q0, q1, q2, q3, t0, t1, t2, t3)
-        defect = 0.5 * norm_defect(q0, q1, q2, q3) - (q0 * l0 + q1 * l1 + q2 * l2 + q3 * l3)
-        p0, l0 = two_sum(q0, p0 + q0 * defect + l0)
-        p1, l1 = two_sum(q1, p1 + q1 * defect + l1)
-        p2, l2 = two_sum(q2, p2 + q2 * defect + l2)
-        p3, l3 = two_sum(q3, p3 + q3 * defect + l3)
+        n0, n1, n2, n3 = q0 + p0, q1 + p1, q2 + p2, q3 + p3
+        defect = 0.5 * norm_defect(q0, q1, q2, q3) - (n0 * l0 + n1 * l1 + n2 * l2 + n3 * l3)
+        p0, l0 = two_sum(q0, p0 + n0 * defect + l0)
+        p1, l1 = two_sum(q1, p1 + n1 * defect + l1)
+        p2, l2 = two_sum(q2, p2 + n2 * defect + l2)
+        p3, l3 = two_sum(q3, p3 + n3 * defect + l3)
         block[8 * _BLOCK + i] = p0 if is_short else q0
         block[9 * _BLOCK + i] = p1 if is_short else q1
         block[10 * _BLOCK + i] = p2 if is_short else q2

@@ -63,11 +63,12 @@ def advance(body: Array, q: Array, m: Array, t: Array, q1: Array, m1: Array) -> 
 
 def _step_short(body: Array, q: Array, m: Array, G: Array, t: Array) -> tuple[Array, Array]:
     turn, change = _short(body, m[0], G, t)
-    high = q[0]
-    defect = 0.5 * norm_defect(high)
+    rotation = multiply(q[0], turn)
+    turned, defect = q[0] + rotation, 0.5 * norm_defect(q[0])
     if len(q) == 2:
-        defect -= np.einsum("in,in->n", high, q[1])
-    return add(q, multiply(high, turn) + high * defect), add(m, change)
+        defect -= np.einsum("in,in->n", turned, q[1])
+    # The result is normalised, and not q itself, which points elsewhere after a rotation by a large angle.
+    return add(q, rotation + turned * defect), add(m, change)
 
 
 def _step_long(body: Array, q: Array, m: Array, G: Array, t: Array) -> tuple[Array, Array]:

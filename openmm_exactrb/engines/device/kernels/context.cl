@@ -2,10 +2,10 @@
 // vectors. write_position applies this displacement, and read_position undoes it. The place of an atom consists of its
 // slot and its numbers of box vectors.
 
-// The type of a number of the state, which on processors has a low part (processor/context.h), and the product of a
-// quaternion with its low parts.
+// The type of a number of the state, which on processors has a low part (source/dialect.h), and the product of a
+// quaternion `a` with the low parts of q.
 typedef double number;
-#define TIMES_LOW_PARTS(q) 0.0
+#define TIMES_LOW_PARTS(a, q) 0.0
 #define LOW_PARTS 0
 // The type of a component of a force.
 typedef mm_long component;

@@ -28,7 +28,7 @@
 #define WORKSPACE(room, place, size) sized(room_of_clusters, size)
 #define HIGH_PRODUCT(a, b) high_product(a, b)
 #define LOW_PARTS 1
-#define TIMES_LOW_PARTS(q) low_parts_along(q)
+#define TIMES_LOW_PARTS(a, q) low_parts_along(a, q)
 
 namespace exactrb {
 namespace {
@@ -69,8 +69,8 @@ struct number {
     }
 };
 
-inline double low_parts_along(const number* q) {
-    return q[0].high*q[0].low+q[1].high*q[1].low+q[2].high*q[2].low+q[3].high*q[3].low;
+inline double low_parts_along(const double* a, const number* q) {
+    return a[0]*q[0].low+a[1]*q[1].low+a[2]*q[2].low+a[3]*q[3].low;
 }
 
 // The difference of two numbers, and the rounding error of the result.
@@ -81,7 +81,7 @@ inline double apart(const number& a, const number& b, double* rest) {
     return sum;
 }
 
-// (d*d-r.r)/2, with an error of 1e-8 times the rounding error of d*d: numbers are divided into multiples of d/2^26 or
+// (d*d-r.r)/2, with an error below 1e-7 times the rounding error of d*d: numbers are divided into multiples of d/2^26 or
 // so, whose squares are exact, and remainders.
 inline double half_defect(double d, const double* r, const double* rest) {
     const double to_grid = std::ldexp(1.5, 27+std::ilogb(d)), coarse = (d+to_grid)-to_grid;
