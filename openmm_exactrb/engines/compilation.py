@@ -99,16 +99,16 @@ def digest() -> str:
     return hashlib.sha256(b"\0".join((*texts, *map(str.encode, words)))).hexdigest()[:16]
 
 
-def build(path: Path, *flags: str) -> None:
-    """Compile the library to a path, with further flags; raise CompilationError with the compiler's first error."""
+def build(path: Path, *flags: str, sources: Sequence[Path] = SOURCES) -> None:
+    """Compile the library, or other sources, to a path; raise CompilationError with the compiler's first error."""
     check_openmm()
     command, folder = compiler(), openmm_folder()
     built_for = f'-DBUILT_FOR="{openmm.__version__}"'
     with tempfile.TemporaryDirectory(dir=path.parent, prefix=TEMPORARY) as temporary:
-        objects = [Path(temporary) / source.with_suffix(".o").name for source in SOURCES]
+        objects = [Path(temporary) / source.with_suffix(".o").name for source in sources]
         compiling = (command, *_FLAGS, built_for, f"-I{folder / 'include'}", *flags, "-c")
         with ThreadPoolExecutor() as threads:
-            list(threads.map(lambda source, out: _run((*compiling, str(source), *_to(out))), SOURCES, objects))
+            list(threads.map(lambda source, out: _run((*compiling, str(source), *_to(out))), sources, objects))
         linked = Path(temporary) / path.name
         _run(_linking(command, folder / "lib", objects, linked, flags))
         linked.chmod(0o700)

@@ -41,8 +41,8 @@ def errors(reference, m0, q1, m1):
     """Return the errors of (q1, m1): of the momentum relative to its norm, and of the rotation matrix's entries."""
     Q, m = reference
     norm = mp.sqrt(sum(mp.mpf(x) ** 2 for x in m0)) or mp.mpf(1)
-    Q1 = rotation_matrix([mp.mpf(float(x)) for x in q1])
-    error_m = max(abs(mp.mpf(float(a)) - b) for a, b in zip(m1, m, strict=True)) / norm
+    Q1 = rotation_matrix([mp.mpf(x) for x in q1])
+    error_m = max(abs(mp.mpf(a) - b) for a, b in zip(m1, m, strict=True)) / norm
     error_Q = max(abs(Q1[i, j] - Q[i, j]) for i in range(3) for j in range(3))
     return float(error_m), float(error_Q)
 

@@ -1,0 +1,46 @@
+"""Functions of the kernels for processors, compiled from the same texts and with the same flags as the library."""
+
+import ctypes
+from pathlib import Path
+
+import mpmath as mp
+import numpy as np
+
+from openmm_exactrb.engines import compilation
+from openmm_exactrb.support.lock import only_process
+
+#: The unit of roundoff.
+U = 2.0**-53
+
+
+class Functions:
+    """Functions of `*_functions.cpp`, compiled in a folder unless they are there."""
+
+    def __init__(self, folder):
+        path = folder / "kernel_functions.so"
+        with only_process(folder, wait=True):
+            if not path.exists():
+                flags = "-fvisibility=default", f"-I{compilation.SOURCES[0].parent}"
+                compilation.build(path, *flags, sources=sorted(Path(__file__).parent.glob("*_functions.cpp")))
+        self._library = ctypes.CDLL(str(path))
+
+    def __call__(self, name, *arguments):
+        """Call a function, which writes its results into arrays among its arguments."""
+        return getattr(self._library, name)(*map(_passed, arguments))
+
+
+def _passed(argument):
+    if isinstance(argument, np.ndarray):
+        assert argument.flags.c_contiguous
+        return ctypes.c_void_p(argument.ctypes.data)
+    return {float: ctypes.c_double, int: ctypes.c_int, bytes: ctypes.c_char_p}[type(argument)](argument)
+
+
+def pairs(numbers, low=0.0):
+    """Return numbers of the state (..., 2) from their high and low parts."""
+    return np.stack(np.broadcast_arrays(numbers, low), axis=-1)
+
+
+def sum_of(pair):
+    """Return the value of a number of the state, in mpf."""
+    return mp.mpf(float(pair[0])) + mp.mpf(float(pair[1]))

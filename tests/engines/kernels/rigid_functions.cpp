@@ -1,0 +1,82 @@
+// Functions of the kernels of rigid bodies, of random numbers and of the dialect for processors, for tests. Arrays are
+// contiguous; a number of the state is a pair of double.
+#include "rigid.cpp"
+
+using namespace exactrb;
+
+namespace {
+
+Rigid<3> kernels{Constants()};
+
+number* numbers(double* pairs) {
+    return reinterpret_cast<number*>(pairs);
+}
+
+} // namespace
+
+extern "C" {
+
+void rotate(int n, const double* t, const double* body, double* q, double* m) {
+    for (int i = 0; i < n; i++)
+        kernels.rotate(t[i], body+4*i, numbers(q)+4*i, numbers(m)+3*i);
+}
+void turn_by(int n, double* q, const double* v) {
+    for (int i = 0; i < n; i++)
+        kernels.turn_by(numbers(q)+4*i, v+3*i);
+}
+void attitude(int n, double* q, double* Q) {
+    for (int i = 0; i < n; i++)
+        kernels.attitude(numbers(q)+4*i, Q+9*i);
+}
+void norm_defect(int n, double* q, double* defect) {
+    for (int i = 0; i < n; i++)
+        defect[i] = kernels.norm_defect(numbers(q)+4*i);
+}
+void jacobi_short(int n, const double* s, const double* x, const double* z, double* w, double* cn_less, double* dn_less) {
+    for (int i = 0; i < n; i++)
+        w[i] = kernels.jacobi_short(s[i], x[i], z[i], cn_less+i, dn_less+i);
+}
+void third_kind_short(int n, const double* w, const double* x, const double* z, const double* b, double* integral) {
+    for (int i = 0; i < n; i++)
+        integral[i] = kernels.third_kind_short(w[i], x[i], z[i], b[i]);
+}
+void cosine_and_sine(int n, const double* angle, double* cosine, double* sine) {
+    for (int i = 0; i < n; i++)
+        kernels.cosine_and_sine(angle[i], cosine+i, sine+i);
+}
+
+void philox(int n, const unsigned long long* key, unsigned long long* counter) {
+    for (int i = 0; i < n; i++)
+        kernels.philox(key[i], counter+4*i);
+}
+void uniform(int n, const unsigned long long* word, double* number) {
+    for (int i = 0; i < n; i++)
+        number[i] = kernels.uniform(word[i]);
+}
+void normals(int n, const long long* key, const long long* step, const int* stream, const int* body, double* out) {
+    for (int i = 0; i < n; i++)
+        kernels.normals(key[i], step[i], stream[i], body[i], out+4*i);
+}
+
+void add_to(int n, double* sum, const double* step) {
+    for (int i = 0; i < n; i++)
+        numbers(sum)[i] += step[i];
+}
+void take_from(int n, double* sum, const double* step) {
+    for (int i = 0; i < n; i++)
+        numbers(sum)[i] -= step[i];
+}
+void difference(int n, double* a, double* b, double* high, double* rest) {
+    for (int i = 0; i < n; i++)
+        high[i] = apart(numbers(a)[i], numbers(b)[i], rest+i);
+}
+void defect_of_length(int n, const double* d, const double* r, const double* rest, double* defect) {
+    for (int i = 0; i < n; i++)
+        defect[i] = half_defect(d[i], r+3*i, rest+3*i);
+}
+void upper_words(int n, const unsigned long long* a, const unsigned long long* b, unsigned long long* product) {
+    for (int i = 0; i < n; i++)
+        product[i] = high_product(a[i], b[i]);
+}
+
+} // extern "C"
