@@ -27,8 +27,6 @@ BAROSTATS = (
     "MonteCarloMembraneBarostat",
 )
 #: Names of the potentials of this package, which conserve the energy and follow the periodic box.
-OURS = ("SoftDipoleForce", "GayBernePotential")
-#: Names of the potentials of this package, which conserve the energy and follow the periodic box.
 OURS = (NAME, "GayBernePotential")
 _THERMOSTAT, _REMOVER = "AndersenThermostat", "CMMotionRemover"
 #: Forces that change positions or velocities between steps, and therefore the energy.
@@ -100,9 +98,13 @@ class ContextUpdates:
             self.interval = math.gcd(*(force.getFrequency() for force in barostats))
             self._several |= len(barostats) > 1
             self.temperatures = {force.Temperature(): type(force).__name__ for force in acting}
-        self._dipoles.check(context, barostats=self.moves)
+        self.check_box(context)
         if temperature is not None and self.temperatures:
             self._check_temperatures(context, temperature)
+
+    def check_box(self, context: openmm.Context) -> None:
+        """Raise ValueError if dipoles have no valid energy in the present box, which barostats may have accepted."""
+        self._dipoles.check(context, barostats=self.moves)
 
     def hottest(self, context: openmm.Context) -> float:
         """Return the largest RT (kJ/mol) of thermostats and barostats, from the present parameters of the Context."""
@@ -187,8 +189,12 @@ class ContextUpdates:
         return 2 * trials
 
     def changed(self, sync: Synchronisation, state: State, box: tuple[float, ...]) -> State:
-        """Return a state after an update of its Context; `box` is the box before the update."""
+        """Return a state after an update of its Context; `box` is the box before the update.
+
+        A ValueError is raised if dipoles have no valid energy in the present box: OpenMM accepts an energy of nan.
+        """
         context = sync.context
+        self.check_box(context)
         if not self.pushes:
             if arrays.box(context.getState()) == box:
                 return state

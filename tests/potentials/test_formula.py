@@ -236,6 +236,26 @@ def test_a_box_that_is_too_small_for_rods_is_refused():
                 integrator.step(0)
 
 
+@pytest.mark.parametrize("engine", ["host", "device"])
+@pytest.mark.parametrize("scheme", ["BAOAB", "W2_3m"])
+@pytest.mark.parametrize("frequency", [1, 3])
+def test_a_barostat_ends_a_run_where_the_box_becomes_too_small(frequency, scheme, engine):
+    """OpenMM accepts trials whose energy is nan."""
+    _, system, positions = rb.dipole_fluid(8, attraction=1.0, kernel="bonds", **SHORT | {"density": 0.1})
+    barostat = openmm.MonteCarloBarostat(3000.0, 100.0, frequency)
+    barostat.setRandomNumberSeed(5)
+    system.addForce(barostat)
+    integrator = rb.ExactRigidBodyLangevinIntegrator(100.0, 5.0, 0.002, scheme, engine=engine)
+    context = context_of(system, integrator, positions)
+    context.setVelocitiesToTemperature(100.0, 1)
+    with pytest.raises(ValueError, match="need a box with edges of at least 3 nm, not 2"):
+        integrator.step(5000)
+    edge = context.getState().getPeriodicBoxVectors()[0][0]._value
+    assert 3.0 <= edge < 4.0
+    assert np.isfinite(integrator.totalEnergy()._value)
+    integrator.step(0)
+
+
 def test_a_barostat_moves_bonds_as_it_moves_the_compiled_kernel():
     boxes = []
     for kernel in KERNELS:

@@ -295,6 +295,7 @@ class DevicePropagator:
         kinetic, bad = self._step(n, shows)
         if bad:
             self._refuse()
+        self.updates.check_box(self.sync.context)
         if kinetic > GROWN * self._largest and self._judged and kinetic > GROWN * self._thermal:
             self._compare(since)
         self._largest = max(self._largest, kinetic)
@@ -336,7 +337,8 @@ class DevicePropagator:
         return judged(*self.device.report(self._shown))
 
     def _refuse(self) -> None:
-        """Raise DivergedError with the names of the invalid bodies."""
+        """Raise DivergedError with the names of the invalid bodies, or the cause of energies that are nan."""
+        self.updates.check_box(self.sync.context)
         state = self.sync.on_device(self._shown)
         what = non_finite(self.sync.bodies, state) or "positions or forces became non-finite"
         raise DivergedError(NonFiniteError, what)
