@@ -19,6 +19,7 @@ from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.fit import fit
 from openmm_exactrb.mechanics.state import BodyState
+from openmm_exactrb.multiple_time_steps import virtual_sites
 from openmm_exactrb.multiple_time_steps.fast_forces import FastForces, fast_forces
 from openmm_exactrb.openmm_access import arrays, parameters
 from openmm_exactrb.openmm_access.molecules import in_flexible_molecules
@@ -144,7 +145,9 @@ def _of_this_package(simulation: Any, frictions: tuple[float, ...]) -> Dynamics:
     integrator, context = simulation.integrator, simulation.context
     thermostat, step = integrator.getThermostat(), integrator.getStepSize()._value
     bodies = integrator.bodyState()[0]
-    fast = fast_forces(simulation.system, bodies, integrator.getMultipleTimeSteps())
+    x = arrays.positions(context.getState(positions=True))
+    masses = virtual_sites.masses(simulation.system, x)
+    fast = fast_forces(simulation.system, bodies, integrator.getMultipleTimeSteps(), masses)
     if fast is not None and not fast.acts(integrator.getScheme(), step):
         fast = None
     if fast is not None and not integrator._up_to_date().defers_inner_drifts:  # noqa: SLF001

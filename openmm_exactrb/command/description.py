@@ -19,10 +19,13 @@ from openmm_exactrb.context.updates import names_of_updates
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
+from openmm_exactrb.multiple_time_steps import virtual_sites
 from openmm_exactrb.multiple_time_steps.fast_forces import MultipleTimeSteps, fast_forces
 from openmm_exactrb.multiple_time_steps.resonance import Resonances
 from openmm_exactrb.multiple_time_steps.stiffness import frequencies
+from openmm_exactrb.openmm_access import arrays, parameters
 from openmm_exactrb.schemes import splitting
+from openmm_exactrb.support.types import Array
 from openmm_exactrb.tuning.floor import causes
 
 _SHOWN = 3  # largest number of periods that are printed
@@ -47,15 +50,15 @@ def described(
     if others := names_of_updates(system):
         yield f"acting between steps: {', '.join(others)}"
     try:
-        bodies, noted = _found(system, positions)
+        bodies, masses, noted = _found(system, positions)
     except ValueError as error:
         unplaced = positions is None and "constraint" in str(error)
         hint = "; its shape may need positions: add a State, PDB or gro file" if unplaced else ""
         yield f"not supported: {' '.join(str(error).split())}{hint}"
         return
     yield from _bodies(bodies, names)
-    yield from _periods(system, names)
-    yield from _advice(system, bodies)
+    yield from _periods(system, names, masses)
+    yield from _advice(system, bodies, masses)
     yield from (f"limits the energy error of any integrator: {cause}" for cause in causes(system))
     if any(causes(system)):
         yield "exactrb tune measures this limit; the documentation has remedies and their cost (Questions and answers)"
@@ -65,10 +68,14 @@ def described(
         yield from (*noted, "everything is supported")
 
 
-def _found(system: openmm.System, positions: unit.Quantity | None) -> tuple[RigidBodies, list[str]]:
-    """Return the bodies and warnings of a first step or, without positions, the bodies that constraints define."""
+def _found(system: openmm.System, positions: unit.Quantity | None) -> tuple[RigidBodies, Array, list[str]]:
+    """Return the bodies, the masses of particles and of virtual sites with bonded terms, and warnings of a first step.
+
+    Without positions, constraints alone define the bodies, and virtual sites have no mass.
+    """
     if positions is None:
-        return find_bodies(system, np.random.default_rng(1).standard_normal((system.getNumParticles(), 3))), []
+        x = np.random.default_rng(1).standard_normal((system.getNumParticles(), 3))
+        return find_bodies(system, x), parameters.masses(system), []
     integrator = ExactRigidBodyIntegrator(0.001)
     context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
     context.setPositions(positions)
@@ -83,7 +90,7 @@ def _found(system: openmm.System, positions: unit.Quantity | None) -> tuple[Rigi
             f"constrained bonds are stretched by up to {corrected:.2g} nm, which exactrb run corrects before its "
             "minimisation: in a script, call context.applyConstraints(1e-6) after setPositions",
         )
-    return bodies, notes
+    return bodies, virtual_sites.masses(system, arrays.positions(context.getState(positions=True))), notes
 
 
 class _Names:
@@ -161,10 +168,10 @@ def _bodies(bodies: RigidBodies, names: _Names) -> Iterator[str]:
     yield f"degrees of freedom: {freedom[0]} of translation and vibration, {freedom[1]} of rotation"
 
 
-def _periods(system: openmm.System, names: _Names) -> Iterator[str]:
+def _periods(system: openmm.System, names: _Names, masses: Array) -> Iterator[str]:
     """Yield a line with the shortest distinct periods of bonds and angles."""
     distinct: dict[float, tuple[int, ...]] = {}
-    for some, particles in frequencies(system):
+    for some, particles in frequencies(system, masses=masses):
         for frequency, own in zip(some.tolist(), particles.tolist(), strict=True):
             distinct.setdefault(float(f"{frequency:.4g}"), tuple(own))
     fastest = [frequency for frequency in sorted(distinct, reverse=True) if frequency > 0.0][:_SHOWN]
@@ -176,15 +183,15 @@ def _periods(system: openmm.System, names: _Names) -> Iterator[str]:
         yield f"shortest periods: {', '.join(periods)}"
 
 
-def _advice(system: openmm.System, bodies: RigidBodies) -> Iterator[str]:
+def _advice(system: openmm.System, bodies: RigidBodies, masses: Array) -> Iterator[str]:
     """Yield the recommended settings, or a line without settings if the System contains no rigid water."""
     if not any(len(kind.masses) == 3 and abs(kind.mass - _WATER) < 0.1 for kind in bodies.kinds):
         yield "step: not measured for such molecules; exactrb tune finds one"
         return
-    flexible = fast_forces(system, bodies, MultipleTimeSteps.of("auto", None, None)) is not None
+    flexible = fast_forces(system, bodies, MultipleTimeSteps.of("auto", None, None), masses) is not None
     nve, fs, what = ("W2_1", 4.0, "proteins in water") if flexible else ("W4_4", 2.0, "rigid water")
     nvt = splitting("W2_3m")
-    resonance = Resonances(system).first(nvt) if flexible else None
+    resonance = Resonances(system, masses=masses).first(nvt) if flexible else None
     longest = 4.0 if resonance is None else min(4.0, 1000.0 * resonance.below(nvt))
     yield f'constant energy: rb.ExactRigidBodyIntegrator(forceInterval={fs:g}*femtoseconds, scheme="{nve}")'
     yield (

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from openmm_exactrb.mechanics.bodies import Part, RigidBodies
 from openmm_exactrb.multiple_time_steps.bonded import BONDED_FORCES, Bonded, interacting_exceptions
+from openmm_exactrb.multiple_time_steps.virtual_sites import add_particles, owners, with_bonded_terms, with_parents
 from openmm_exactrb.openmm_access import parameters
 from openmm_exactrb.support.types import Indices
 
@@ -30,7 +31,8 @@ class Excerpt:
     forces : sequence of Bonded
         The selected forces, with the particle indices of the whole System.
     particles : (n,) array of int
-        The indices of the particles on which these forces act, and of all other particles of their bodies.
+        The indices of the particles on which these forces act, of those on which virtual sites among them depend, and
+        of all other particles of their bodies.
     bodies : RigidBodies
         All bodies of the whole System.
     """
@@ -47,6 +49,16 @@ class Excerpt:
         return Part(self.bodies.chosen(chosen, self._number, len(self.particles)), chosen)
 
     @cached_property
+    def on_sites(self) -> Sequence[Bonded]:
+        """The forces on virtual sites, for which there are no kernels."""
+        found = [(force, np.asarray(self._is_site[force.particles].any(axis=1))) for force in self.forces]
+        return [force.chosen(which) for force, which in found if which.any()]
+
+    @cached_property
+    def _is_site(self) -> NDArray[np.bool_]:
+        return _sites(self.whole)
+
+    @cached_property
     def numbered(self) -> Sequence[Bonded]:
         """The forces, with particles numbered as in `system`."""
         return [force.numbered(self._number) for force in self.forces]
@@ -55,8 +67,7 @@ class Excerpt:
     def system(self) -> openmm.System:
         """A System of these particles, in which OpenMM evaluates these forces."""
         own, number = openmm.System(), self._number
-        for mass in parameters.masses(self.whole)[self.particles].tolist():
-            own.addParticle(mass)
+        add_particles(self.whole, self.particles.tolist(), own)
         pairs, lengths = parameters.constraints(self.whole)
         inside = (number[pairs] >= 0).all(axis=1)
         for (i, j), length in zip(number[pairs[inside]].tolist(), lengths[inside].tolist(), strict=True):
@@ -74,31 +85,42 @@ class Excerpt:
         return number
 
 
-def bonded_excerpt(system: openmm.System, bodies: RigidBodies, groups: Collection[int] | None = None) -> Excerpt | None:
+def bonded_excerpt(
+    system: openmm.System, bodies: RigidBodies, groups: Collection[int] | None = None, sites: bool = True
+) -> Excerpt | None:
     """Return the bonded forces and the exceptions of NonbondedForces that move bodies relative to each other.
 
-    If `groups` are given, only bonded forces in these groups are returned, without exceptions. Terms on virtual sites
-    are excluded. The function returns None if there are no such bonded forces.
+    If `groups` are given, only bonded forces in these groups are returned, without exceptions. Exceptions of virtual
+    sites are excluded, as are bonded terms of sites of unsupported types and, unless `sites`, of all virtual sites. The
+    function returns None if there are no such bonded forces.
     """
-    sites = np.array([*map(system.isVirtualSite, range(system.getNumParticles()))], dtype=bool)
+    owner, of_sites = owners(system, bodies.owner), _sites(system)
+    excluded = of_sites.copy()
+    excluded[with_bonded_terms(system)[0] if sites else []] = False
     own = [force for force in system.getForces() if isinstance(force, BONDED_FORCES)]
     bonded = [Bonded.of(force) for force in own if groups is None or force.getForceGroup() in groups]
-    forces = _acting(bonded, bodies.owner, sites)
+    forces = _acting(bonded, owner, excluded)
     if not forces:
         return None
     every = [force for force in system.getForces() if groups is None and isinstance(force, openmm.NonbondedForce)]
-    forces += _acting(map(interacting_exceptions, every), bodies.owner, sites)
-    touched = np.flatnonzero(np.bincount(np.concatenate([force.particles.ravel() for force in forces])))
+    forces += _acting(map(interacting_exceptions, every), owner, of_sites)
+    named = np.flatnonzero(np.bincount(np.concatenate([force.particles.ravel() for force in forces])))
+    touched = np.array(with_parents(system, named.tolist()), dtype=np.intp)
     members = np.flatnonzero(np.append(bodies.touched(touched), False)[bodies.owner])  # -1: no body
     return Excerpt(system, forces, np.union1d(members, touched), bodies)
 
 
-def _acting(forces: Any, owner: Indices, sites: NDArray[np.bool_]) -> list[Bonded]:
-    """Return the terms of forces that connect different bodies and involve no virtual sites."""
+def _sites(system: openmm.System) -> NDArray[np.bool_]:
+    """Return a mask (n_particles,) of the virtual sites."""
+    return np.array([*map(system.isVirtualSite, range(system.getNumParticles()))], dtype=bool)
+
+
+def _acting(forces: Any, owner: Indices, excluded: NDArray[np.bool_]) -> list[Bonded]:
+    """Return the terms of forces that connect different bodies and involve no excluded particles."""
     found = []
     for force in forces:
         bodies = owner[force.particles]
-        between = (bodies != bodies[:, :1]).any(axis=1) & ~sites[force.particles].any(axis=1)
+        between = (bodies != bodies[:, :1]).any(axis=1) & ~excluded[force.particles].any(axis=1)
         if between.any():
             found.append(force.chosen(between))
     return found

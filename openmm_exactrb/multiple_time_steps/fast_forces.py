@@ -14,12 +14,13 @@ import openmm
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.multiple_time_steps.bonded import acting, groups_of, others
 from openmm_exactrb.multiple_time_steps.excerpt import Excerpt, bonded_excerpt
-from openmm_exactrb.multiple_time_steps.stiffness import fastest
+from openmm_exactrb.multiple_time_steps.stiffness import LIBRATION, fastest
 from openmm_exactrb.schemes.catalogue import scheme as look_up
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.substeps import DRIFT, KICK, Drift, GradientKick, HeatExchange, Kick
 from openmm_exactrb.support.checks import whole
 from openmm_exactrb.support.messages import shown
+from openmm_exactrb.support.types import Array
 from openmm_exactrb.support.warn import warn
 
 # Inner schemes, and the longest time between two kicks by the fast forces as a fraction of the period of the fastest
@@ -185,8 +186,12 @@ def _usual(outer: Scheme) -> tuple[str, float]:
     return _WITH_HEAT_EXCHANGE if within else _SECOND_ORDER
 
 
-def fast_forces(system: openmm.System, bodies: RigidBodies, settings: MultipleTimeSteps | None) -> FastForces | None:
+def fast_forces(
+    system: openmm.System, bodies: RigidBodies, settings: MultipleTimeSteps | None, masses: Array
+) -> FastForces | None:
     """Return the fast forces of a System, or None if there are no fast forces.
+
+    The masses (n_particles,) include those of virtual sites; see `virtual_sites.masses`.
 
     Raises
     ------
@@ -201,12 +206,20 @@ def fast_forces(system: openmm.System, bodies: RigidBodies, settings: MultipleTi
     """
     if settings is None:
         return None
-    return _bonded(system, bodies, settings) if isinstance(settings.fast, str) else _of_groups(system, settings)
+    if isinstance(settings.fast, str):
+        return _bonded(system, bodies, settings, masses)
+    return _of_groups(system, settings, masses)
 
 
-def _bonded(system: openmm.System, bodies: RigidBodies, settings: MultipleTimeSteps) -> FastForces | None:
+def _bonded(
+    system: openmm.System, bodies: RigidBodies, settings: MultipleTimeSteps, masses: Array
+) -> FastForces | None:
     excerpt = bonded_excerpt(system, bodies)
-    frequency = 0.0 if excerpt is None else fastest(system, forces=excerpt.forces)
+    if excerpt is not None and not settings.asked_for:
+        on_sites = excerpt.on_sites
+        if on_sites and fastest(system, forces=on_sites, masses=masses) < LIBRATION:  # kernels are faster without them
+            excerpt = bonded_excerpt(system, bodies, sites=False)
+    frequency = 0.0 if excerpt is None else fastest(system, forces=excerpt.forces, masses=masses)
     if not settings.asked_for:
         return FastForces(settings, frequency, excerpt) if frequency and others(system) else None
     if excerpt is None:
@@ -224,7 +237,7 @@ def _bonded(system: openmm.System, bodies: RigidBodies, settings: MultipleTimeSt
     return FastForces(settings, frequency, excerpt)
 
 
-def _of_groups(system: openmm.System, settings: MultipleTimeSteps) -> FastForces | None:
+def _of_groups(system: openmm.System, settings: MultipleTimeSteps, masses: Array) -> FastForces | None:
     present = {group for force in acting(system) for group in groups_of(force)}
     groups = tuple(group for group in map(int, settings.fast) if group in present)
     if not groups:
@@ -238,7 +251,7 @@ def _of_groups(system: openmm.System, settings: MultipleTimeSteps) -> FastForces
             "fast= names all forces of the System, so no forces remain for the outer steps: name fewer groups, or omit "
             "fast="
         )
-    frequency = fastest(system, groups)
+    frequency = fastest(system, groups, masses=masses)
     if not frequency and settings.steps is None:
         warn(f"{_NO_INNER_STEPS}{_NO_PERIOD}")
         return None

@@ -104,7 +104,8 @@ class InnerDrift:
 
     def _forces_of(self, own: ExcerptPositions, forces: ContextForces) -> ContextForces:
         """Return the fast forces on the bodies of the excerpt, by compiled kernels if these support them."""
-        terms, of_groups = terms_of(own.excerpt.numbered, forces.groups), (forces.groups, self._timings, _COUNTER)
+        of_groups = forces.groups, self._timings, _COUNTER
+        terms = None if own.excerpt.on_sites else terms_of(own.excerpt.numbered, forces.groups)
         return ContextForces(own, *of_groups) if terms is None else BondedForces(terms, own, *of_groups)
 
     def _of_others(self, kinetic: Kinetic) -> Flow[State]:
@@ -156,7 +157,8 @@ class ExcerptPositions(Positions):
         self._own = openmm.Context(excerpt.system, openmm.VerletIntegrator(0.001), platform)
         self.excerpt, self._whole, self._seen, self._count = excerpt, sync.positions, -1, 0
         super().__init__(self._own, excerpt.part.bodies, sync.particles[excerpt.particles])
-        self._changes = excerpt.system.usesPeriodicBoundaryConditions() or bool(len(self._own.getParameters()))
+        periodic = excerpt.system.usesPeriodicBoundaryConditions() or bool(excerpt.on_sites)
+        self._changes = periodic or bool(len(self._own.getParameters()))
         self._massless = np.flatnonzero(parameters.masses(excerpt.system) == 0.0)
 
     @property

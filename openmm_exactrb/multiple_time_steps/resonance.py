@@ -15,14 +15,15 @@ import openmm
 
 from openmm_exactrb.mechanics.divergence import StepSizeWarning
 from openmm_exactrb.multiple_time_steps.bonded import Bonded
-from openmm_exactrb.multiple_time_steps.stiffness import frequencies
+from openmm_exactrb.multiple_time_steps.stiffness import LIBRATION, frequencies
 from openmm_exactrb.openmm_access import parameters
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.substeps import DRIFT
+from openmm_exactrb.support.types import Array
 from openmm_exactrb.support.warn import warn
 
-# Stiffness of slow forces in kJ/mol/nm²: that of hydrogen in water, whose librations have a frequency of 112/ps.
-_SLOW = 112.0**2
+# Stiffness of slow forces in kJ/mol/nm²: that of hydrogen in water.
+_SLOW = LIBRATION**2
 # Growth rate of amplitudes (1/ps) above which a resonance is relevant; a friction of 5/ps compensates this rate.
 _GROWTH = 2.5
 # The period of the fastest normal mode of alanine dipeptide relative to that of its fastest isolated bond or angle. The
@@ -70,14 +71,21 @@ class Resonances:
     groups : sequence of int
     forces : sequence of Bonded, optional
         The forces with these bonds and angles; by default, all forces of the System.
+    masses : (n_particles,) array, optional
+        Masses, including those of virtual sites; by default those of the System.
     """
 
     def __init__(
-        self, system: openmm.System, groups: Sequence[int] = range(32), forces: Sequence[Bonded] | None = None
+        self,
+        system: openmm.System,
+        groups: Sequence[int] = range(32),
+        forces: Sequence[Bonded] | None = None,
+        masses: Array | None = None,
     ) -> None:
-        masses = parameters.masses(system)
+        self._massless = parameters.masses(system) == 0.0
+        masses = parameters.masses(system) if masses is None else masses
         self._mass = np.where(masses > 0.0, masses, np.inf)
-        self._modes, self._told = [*frequencies(system, groups, forces)], False
+        self._modes, self._told = [*frequencies(system, groups, forces, masses)], False
 
     def first(self, scheme: Scheme) -> Resonance | None:
         """Return the resonance of a scheme at the shortest step, or None if no resonance is relevant.
@@ -119,6 +127,8 @@ class Resonances:
 
     def _remedy(self, particles: tuple[int, ...]) -> str:
         """Return advice to slow or constrain a bond or angle, or an empty text if it contains no hydrogen."""
+        if self._massless[list(particles)].any():
+            return ""
         mass = self._mass[list(particles)].min()
         if len(particles) == 2 and mass <= _LIGHT:
             return "constrain bonds to hydrogen (constraints=HBonds), "

@@ -12,23 +12,34 @@ from openmm_exactrb.multiple_time_steps.bonded import LENNARD_JONES, PAIR, Bonde
 from openmm_exactrb.openmm_access import arrays, parameters
 from openmm_exactrb.support.types import Array, Indices
 
+#: The frequency (1/ps) of the fastest motions by slow forces, the librations of water.
+LIBRATION = 112.0
 # Lengths (nm) at which the energy minimum of a bond is sought.
 _LENGTHS = np.linspace(0.05, 0.3, 251)
 _SPRINGS = openmm.HarmonicBondForce, openmm.HarmonicAngleForce, openmm.CustomBondForce
 
 
-def fastest(system: openmm.System, groups: Sequence[int] = range(32), forces: Sequence[Bonded] | None = None) -> float:
+def fastest(
+    system: openmm.System,
+    groups: Sequence[int] = range(32),
+    forces: Sequence[Bonded] | None = None,
+    masses: Array | None = None,
+) -> float:
     """Return the highest of the `frequencies` in 1/ps, or 0 if there are none."""
-    return max((float(some.max(initial=0.0)) for some, _ in frequencies(system, groups, forces)), default=0.0)
+    return max((float(some.max(initial=0.0)) for some, _ in frequencies(system, groups, forces, masses)), default=0.0)
 
 
 def frequencies(
-    system: openmm.System, groups: Sequence[int] = range(32), forces: Sequence[Bonded] | None = None
+    system: openmm.System,
+    groups: Sequence[int] = range(32),
+    forces: Sequence[Bonded] | None = None,
+    masses: Array | None = None,
 ) -> Iterator[tuple[Array, Indices]]:
     """Estimate the frequencies of harmonic bonds and angles, and of bonds with formulas, in given force groups.
 
     Each bond and angle is treated individually; constrained ones are ignored. A bond defined by a formula is included
-    if its energy has a minimum at the length of a chemical bond. By default, `forces` are the forces of the System.
+    if its energy has a minimum at the length of a chemical bond. By default, `forces` are the forces of the System, and
+    `masses` (n_particles,) its masses, with which virtual sites have no frequency; see `virtual_sites.masses`.
 
     Yields
     ------
@@ -45,7 +56,7 @@ def frequencies(
     by_group = sorted(bonds, key=lambda bond: bond[0])  # bonds in the groups come last and override the others
     pairs, lengths = zip(held, *((particles, r) for _, particles, r, _ in by_group), strict=True)
     known = _Lengths(np.concatenate(pairs), np.concatenate(lengths))
-    masses = parameters.masses(system)
+    masses = parameters.masses(system) if masses is None else masses
     inverse = np.divide(1.0, masses, out=np.zeros_like(masses), where=masses != 0.0)  # 0 for frozen particles
     for own, particles, _, strength in bonds:
         if own:

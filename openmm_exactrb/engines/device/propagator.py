@@ -24,7 +24,6 @@ from openmm_exactrb.engines.library import Device, library
 from openmm_exactrb.errors import IntegrationError, NonFiniteError
 from openmm_exactrb.mechanics.divergence import GROWN, gained, non_finite, of_step
 from openmm_exactrb.mechanics.state import State
-from openmm_exactrb.multiple_time_steps.bonded import BondedNumbers
 from openmm_exactrb.multiple_time_steps.fast_forces import FastForces
 from openmm_exactrb.multiple_time_steps.found import Found
 from openmm_exactrb.openmm_access import platforms
@@ -63,7 +62,7 @@ class DevicePropagator:
         system = context.getSystem()
         self._found: Found = settings.found(context)
         self._resonances = self._found.resonances(system)
-        self._bonded = BondedNumbers.of(system, self._found.bodies.owner) if settings.fast else None
+        self._bonded = self._found.numbers(system) if settings.fast else None
         self._fast_changed = False
         self.sync = DeviceState(context, integrator, settings.named, bodies=self._found.bodies)
         self.updates = ContextUpdates(context, settings.named or [])

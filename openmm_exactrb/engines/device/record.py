@@ -63,7 +63,8 @@ def _unsupported_in(context: Any, settings: Settings) -> str | None:
         return f"the kernels for the platform {name} are compiled without the device_moves of {own!r}"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the propagator issues these warnings
-        bodies, _, fast = settings.found(context)
+        found = settings.found(context)
+        bodies, fast = found.bodies, found.fast
     if (why := _slender(bodies)) is not None:
         return why
     try:

@@ -30,7 +30,6 @@ from openmm_exactrb.engines.library import library, of_library
 from openmm_exactrb.mechanics.divergence import DivergenceCheck, Overheating, freedom_by_kind, kinetic_by_kind
 from openmm_exactrb.mechanics.free_motion import Kinetic, free_motion
 from openmm_exactrb.mechanics.state import Flow, ForceMemory, State
-from openmm_exactrb.multiple_time_steps.bonded import BondedNumbers
 from openmm_exactrb.multiple_time_steps.inner_drift import InnerDrift
 from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.schemes.sequence import behind_exchange, inverse, through, up_to_kick
@@ -110,7 +109,7 @@ class HostPropagator:
         self._conserves = conserve_energy(context.getSystem())
         self._timings, self._integrator = timings, weakref.ref(integrator)
         self._positions = self.sync.positions
-        self._bonded = BondedNumbers.of(self._system, self.sync.bodies.owner) if settings.fast else None
+        self._bonded = self._found.numbers(self._system) if settings.fast else None
         self._take_fast_forces(settings)
         self._clock = Clock(context, library().step_openmm if of_library(integrator) else variables.step_openmm)
         self._version: object = None

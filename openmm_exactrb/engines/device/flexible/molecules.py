@@ -151,6 +151,8 @@ def _without_kernel(
             return f"the fast force {force.getName()}, which is not a bonded force"
     if excerpt is None:
         return None
+    if excerpt.on_sites:
+        return f"the fast force {excerpt.on_sites[0].force.getName()} on virtual sites"
     if len(excerpt.part.turning):
         return f"fast forces on {bodies.name(int(excerpt.part.turning[0]))}, which is rigid"
     force = unknown(excerpt.forces)
