@@ -32,9 +32,14 @@ class DipoleBoxes:
             any(isinstance(force, kind) and force.usesPeriodicBoundaryConditions() for force in found) for kind in kinds
         )
 
+    @property
+    def any(self) -> bool:
+        """Whether the System has such dipoles."""
+        return self._pairs or self._bonds
+
     def check(self, context: openmm.Context, *, barostats: bool = False) -> None:
         """Raise ValueError if the dipoles have no valid energy in the present box of a Context, or with barostats."""
-        if not (self._pairs or self._bonds):
+        if not self.any:
             return
         if self._pairs and barostats:
             raise ValueError(

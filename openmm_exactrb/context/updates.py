@@ -65,7 +65,8 @@ class ContextUpdates:
         self._couplings, self._named, self.lost = couplings(context), named, lost
         self._barostats = [force for force in self._couplings if not _is_thermostat(force)]
         self.has_thermostats = len(self._couplings) > len(self._barostats)
-        self._dipoles = DipoleBoxes(context.getSystem())
+        dipoles = DipoleBoxes(context.getSystem())
+        self._dipoles = dipoles if dipoles.any else None
         self._advance = advancing()
         self._since_trial = [0] * len(self._barostats)  # updates since the last trial of each barostat
         self._frequencies: list[float] | None = None
@@ -104,7 +105,8 @@ class ContextUpdates:
 
     def check_box(self, context: openmm.Context) -> None:
         """Raise ValueError if dipoles have no valid energy in the present box, which barostats may have accepted."""
-        self._dipoles.check(context, barostats=self.moves)
+        if self._dipoles is not None:
+            self._dipoles.check(context, barostats=self.moves)
 
     def hottest(self, context: openmm.Context) -> float:
         """Return the largest RT (kJ/mol) of thermostats and barostats, from the present parameters of the Context."""

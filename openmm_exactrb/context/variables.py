@@ -275,10 +275,12 @@ def read(integrator: openmm.CustomIntegrator, storage: Storage, which: str = SHO
 
     A ValueError is raised if the state is in the other storage of the host, whose values are not there.
     """
+    if not marked(integrator):
+        return None
     of_library = by_library(own := own_numbers(integrator))
     if {get(integrator, _STORED), storage.mark} == {written(own), of_library}:
         raise ValueError(OTHER_STORAGE.format(*("without", "with")[:: 1 if storage.mark == of_library else -1]))
-    state = storage.read(which) if marked(integrator) else None
+    state = storage.read(which)
     if state is None or not state.q[0].any(axis=0).all():  # `reinitialize` keeps numbers, but not vectors
         return None
     return state
