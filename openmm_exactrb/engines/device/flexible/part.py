@@ -26,7 +26,7 @@ THREADS = 256
 # Bits for the actions of a launch in addition to its moves, as in kernels/layout.cl.
 _MOVES, _PLACES, _PROJECTS, _SHOWS = 1, 2, 4, 8
 _CONTEXT = ("posq", "posqCorrection", "velm", "force", "places", "box")
-_FORCES = ("memory", "differences", "here", "push")
+_FORCES = ("memory", "differences", "here", "push", "seen")
 _ATOMS = ("atoms", "bodies", "inverse")
 _TABLES = ("blocks", "block_atoms", "clusters", "lengths", "graphs", "room", "members", "constants", "exact")
 
@@ -78,6 +78,11 @@ class FlexiblePart:
         inner = "inner_" if self._demands.copied and not copied else ""
         return f"{self._prefix}{inner}x", f"{self._prefix}{inner}v"
 
+    @property
+    def _seen(self) -> str:
+        """The name of the array of the projected velocities, which the Context shows."""
+        return f"{self._prefix}seen"
+
     # -- declarations and launches ---------------------------------------------------------------------------------
 
     def declare(self, to: Program) -> None:
@@ -95,6 +100,7 @@ class FlexiblePart:
         to.array(f"{self._prefix}here", 3 * self.n * demands.displaces)
         for name in ("push", "there"):
             to.array(f"{self._prefix}{name}", 3 * self.n * demands.displaces, demands.state_element)
+        to.array(self._seen, 3 * self.n, demands.state_element)
         to.array(f"{self._prefix}kinetic", 3 * GROUPS)
 
     def launches(self, segment: Segment, table: Table) -> list[Operation]:
@@ -146,7 +152,7 @@ class FlexiblePart:
         """Return operations that project velocities and write (or, if `adds`, add) the kinetic energy to "totals"."""
         x, v = self.state(copied)
         threads, sums, inverse = min(self.n, BLOCK * GROUPS), f"{self._prefix}kinetic", f"{self._prefix}inverse"
-        kinetic = Launch(self._source, "flexible_kinetic", threads, (inverse, x, v, sums), BLOCK)
+        kinetic = Launch(self._source, "flexible_kinetic", threads, (inverse, x, self._seen, sums), BLOCK)
         total = Launch(self._source, "total", BLOCK, (sums, "totals", int(adds)), BLOCK)
         return [self._launch((0, 0), _PROJECTS, (x, x, v)), kinetic, total]
 
@@ -156,9 +162,9 @@ class FlexiblePart:
         return np.array([0.0, 0.0, sums[0]])
 
     def pushed(self, copied: bool, to_copy: bool) -> list[Operation]:
-        """Return operations that add to state(to_copy) the change of the Context's velocities since state(copied)."""
-        states = self.state(copied)[1], self.state(to_copy)[1]
-        return [Launch(self._source, "flexible_pushed", self.n, ("velm", "places", f"{self._prefix}atoms", *states))]
+        """Return operations that add to state(to_copy) the change of the velocities that the Context showed last."""
+        arguments = "velm", "places", f"{self._prefix}atoms", self._seen, self.state(to_copy)[1]
+        return [Launch(self._source, "flexible_pushed", self.n, arguments)]
 
     def moved(self, copied: bool) -> list[Operation]:
         """Return the operations that read positions changed by OpenMM."""

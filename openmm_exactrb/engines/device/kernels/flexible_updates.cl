@@ -1,15 +1,14 @@
 // Transfer OpenMM's changes of velocities and positions between steps to the state of flexible molecules, and compute
 // the kinetic energy. Atoms that OpenMM did not change keep their state to the last bit.
 
-// Add changes of velocities (CMMotionRemover, AndersenThermostat) to these velocities, or to the velocities of another
-// state.
-KERNEL void flexible_pushed(GLOBAL const mixed4* velm, GLOBAL const int4* places, GLOBAL const int* atoms, GLOBAL const number* v,
-        GLOBAL number* v_to) {
+// Add changes of the velocities that were shown (CMMotionRemover, AndersenThermostat) to the velocities of a state.
+KERNEL void flexible_pushed(GLOBAL const mixed4* velm, GLOBAL const int4* places, GLOBAL const int* atoms, GLOBAL const number* seen,
+        GLOBAL number* v) {
     for (OF_THREAD(i, ALL_ATOMS)) {
         const mixed4 now = velm[places[atoms[i]].x];
-        const double change[3] = {now.x-(mixed) v[3*i], now.y-(mixed) v[3*i+1], now.z-(mixed) v[3*i+2]};
+        const double change[3] = {now.x-(mixed) seen[3*i], now.y-(mixed) seen[3*i+1], now.z-(mixed) seen[3*i+2]};
         for (int e = 0; e < 3; e++)
-            v_to[3*i+e] += change[e];
+            v[3*i+e] += change[e];
     }
 }
 
@@ -27,11 +26,11 @@ KERNEL void flexible_moved(GLOBAL const real4* posq, GLOBAL const real4* posqCor
 
 // Sum the kinetic energy and the number of invalid atoms: those with a non-finite state, or faster than light. The
 // second sum, the kinetic energy of rotation, is zero for atoms.
-KERNEL void flexible_kinetic(GLOBAL const double* inverse, GLOBAL const number* x, GLOBAL const number* v, GLOBAL double* sums) {
+KERNEL void flexible_kinetic(GLOBAL const double* inverse, GLOBAL const number* x, GLOBAL const number* seen, GLOBAL double* sums) {
     LOCAL double shared[3*BLOCK];
     double mine[3] = {0.0, 0.0, 0.0};
     for (OF_THREAD(i, ALL_ATOMS)) {
-        const double square = v[3*i]*v[3*i]+v[3*i+1]*v[3*i+1]+v[3*i+2]*v[3*i+2];
+        const double square = seen[3*i]*seen[3*i]+seen[3*i+1]*seen[3*i+1]+seen[3*i+2]*seen[3*i+2];
         if (inverse[i] != 0.0)
             mine[0] += 0.5*square/inverse[i];
         if (!(square <= LIGHT*LIGHT && x[3*i]*x[3*i]+x[3*i+1]*x[3*i+1]+x[3*i+2]*x[3*i+2] < 1e300))

@@ -12,7 +12,7 @@
 // displacement: the atoms move from rest along the geodesic of e times the slow force, and the launch writes the new
 // positions to a separate array. The second launch reads these positions, and kicks by the slow force there, which it
 // projects onto the constraints. `here` contains the slow accelerations before the displacement, and `push` the velocities
-// of the displacement and then the projected accelerations.
+// of the displacement and then the projected accelerations. `seen` contains the projected velocities, which are shown.
 
 #define OF_MOVE(k, column) moves[MOVE_ROW*(k)+column]
 #define TAU(k) numbers[OF_MOVE(k, FIRST_NUMBER)]
@@ -92,7 +92,7 @@ DEVICE inline void move_atom(int atom, int first, int last, GLOBAL const int* mo
 
 KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL mixed4* velm, GLOBAL const component* force,
         GLOBAL const int4* places, GLOBAL const double* box, GLOBAL const number* x, GLOBAL number* y, GLOBAL number* v, GLOBAL double* memory,
-        GLOBAL double* differences, GLOBAL double* here, GLOBAL number* push,
+        GLOBAL double* differences, GLOBAL double* here, GLOBAL number* push, GLOBAL number* seen,
         GLOBAL const int* atoms, GLOBAL const int* bodies, GLOBAL const double* inverse, GLOBAL const int* blocks, GLOBAL const int* block_atoms,
         GLOBAL const int* clusters, GLOBAL const double* lengths, GLOBAL const int* graphs, GLOBAL double* room, GLOBAL const int* members,
         GLOBAL const fine* constants, GLOBAL const double* exact, GLOBAL const int* moves, GLOBAL const double* numbers, GLOBAL const double* factors,
@@ -106,7 +106,8 @@ KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL
         for (int i = LOCAL_ID; i < 3*row[PLACES]; i += LOCAL_SIZE)
             xs[i] = x[3*block_atoms[row[FIRST_PLACE]+i/3]+i%3];
         SYNC_THREADS
-        for (int begin = first_move, stop = begin; begin < end || (begin == first_move && what & PROJECTS); begin = stop+1) {
+        int stop = first_move;
+        for (int begin = first_move; begin < end || (begin == first_move && what & PROJECTS); begin = stop+1) {
             bool kicks = false;
             for (stop = begin; stop < end && !MOVES_CLUSTERS(OF_MOVE(stop, OP)); stop++)
                 kicks = kicks || OF_MOVE(stop, OP) == FAST_KICK || OF_MOVE(stop, OP) == KICK || OF_MOVE(stop, OP) == REMEMBER;
@@ -135,10 +136,15 @@ KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL
                     step, (mm_long) turns, memory, differences, here, push, v);
             }
             SYNC_THREADS
-            // After the last drift, velocities need a projection only if they are read (PROJECTS).
+            // After the last drift, velocities need a projection only if they are read (PROJECTS). The projected velocities
+            // are a copy, so that steps do not depend on whether they are read.
             if (stop < end || what & PROJECTS) {
                 const double t = stop == end || op == DISPLACED_KICK ? 0.0 : op == DISPLACE ? 1.0 : TAU(stop);
-                GLOBAL number* rates = by_force ? push : v;
+                GLOBAL number* rates = by_force ? push : stop == end ? seen : v;
+                if (stop == end)
+                    for (int i = 3*first_atom+LOCAL_ID; i < 3*(first_atom+own); i += LOCAL_SIZE)
+                        seen[i] = v[i];
+                SYNC_THREADS
                 for (int done = 0; done < row[CLUSTERS]; done += LOCAL_SIZE/TEAM) {
                     const int c = done+(int) (LOCAL_ID/TEAM);
                     const bool idle = c >= row[CLUSTERS];
@@ -152,7 +158,7 @@ KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL
             SYNC_THREADS
             if (broken)
                 for (int i = LOCAL_ID; i < own; i += LOCAL_SIZE)
-                    v[3*(first_atom+i)] = xs[3*i] = NOT_A_NUMBER;
+                    v[3*(first_atom+i)] = seen[3*(first_atom+i)] = xs[3*i] = NOT_A_NUMBER;
             SYNC_THREADS
             if (GRADIENTS && op == DISPLACED_KICK)
                 for (int i = 3*first_atom+LOCAL_ID; i < 3*(first_atom+own); i += LOCAL_SIZE) {
@@ -162,13 +168,17 @@ KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL
                 }
             SYNC_THREADS
         }
+        if (what & PROJECTS && stop < end)  // after a drift, no projection is needed
+            for (int i = 3*first_atom+LOCAL_ID; i < 3*(first_atom+own); i += LOCAL_SIZE)
+                seen[i] = v[i];
+        SYNC_THREADS
         for (int i = LOCAL_ID; i < own; i += LOCAL_SIZE) {
             const int atom = first_atom+i;
             const int4 place = places[atoms[atom]];
             if (what & PLACES_ATOMS)
                 write_position(posq, posqCorrection, place, box, xs[3*i], xs[3*i+1], xs[3*i+2]);
             if (what & SHOWS_VELOCITIES)
-                velm[place.x] = make_mixed4((mixed) v[3*atom], (mixed) v[3*atom+1], (mixed) v[3*atom+2], velm[place.x].w);
+                velm[place.x] = make_mixed4((mixed) seen[3*atom], (mixed) seen[3*atom+1], (mixed) seen[3*atom+2], velm[place.x].w);
             if (what & MOVES_ATOMS)
                 for (int e = 0; e < 3; e++)
                     y[3*atom+e] = xs[3*i+e];
