@@ -14,8 +14,12 @@ from openmm_exactrb.support.types import Array, Indices
 
 # A body is flat or linear if its squared extent along an axis is less than this fraction of the largest.
 _FLAT = 1e-10
-# Particles within this distance (nm) of each other coincide.
-_POINT = 1e-6
+# Particles coincide if their distances are less than this fraction of the largest coordinate, which is roundoff.
+_COINCIDENT = 1e-13
+# Smallest extent (nm) of a body. Thermal rotation of a smaller one is by thousands of radians in a step.
+_SMALLEST = 1e-6
+# Bodies have the same shape if they agree within `RIGIDITY`, or within this part of the extent of a small body.
+_ALIKE = 1e-3
 #: Largest accepted deviation from the distances of a body, relative to its largest distance. Deviations occur because
 #: files contain rounded distances.
 RESIDUAL = 1e-5
@@ -77,15 +81,15 @@ def on_constraints(particles: Indices, masses: Array, pairs: Indices, lengths: A
 def kinds_from_positions(particles: Indices, masses: Array, positions: Array) -> list[Kind]:
     """Return the kinds of bodies with given masses, whose shapes are taken from their positions.
 
-    If all bodies agree with the first within `RIGIDITY`, they share its shape. Otherwise each body has a separate
-    shape.
+    If all bodies agree with the first within `RIGIDITY`, or within a thousandth of the extent of a small body, they
+    share its shape. Otherwise each body has a separate shape.
     """
     X = positions[particles]
     kind = _with_shape_of(particles[:1], masses, X[0])
     relative = X - np.einsum("s,nsi->ni", masses / kind.mass, X)[:, None]
     attitudes = matrix(best_attitudes(kind.weights, kind.sites, relative)).transpose(2, 0, 1)
     residual = np.sqrt(((relative - turned(attitudes, kind.sites)) ** 2).sum(axis=2).max(axis=1))
-    if residual[1:].max(initial=0.0) <= RIGIDITY:
+    if residual[1:].max(initial=0.0) <= min(RIGIDITY, _ALIKE * float(np.linalg.norm(relative[0], axis=1).max())):
         return [replace(kind, particles=particles)]
     each = [_with_shape_of(row[None], masses, x) for row, x in zip(particles, X, strict=True)]
     sorts = (True, False), (True, True), (False, False)
@@ -95,7 +99,7 @@ def kinds_from_positions(particles: Indices, masses: Array, positions: Array) ->
 
 def _with_shape_of(particles: Indices, masses: Array, X: Array) -> Kind:
     """Return the kind of one body (1, k) at positions X (k, 3)."""
-    if np.linalg.norm(X - X[0], axis=1).max() <= _POINT:
+    if _coincide(particles, float(np.linalg.norm(X - X[0], axis=1).max()), _COINCIDENT * float(np.abs(X).max())):
         return _point(particles, masses)
     centred = X - X.mean(axis=0)
     extent, directions = np.linalg.eigh(centred.T @ centred)
@@ -153,9 +157,20 @@ def _kept_flat(pairs: Indices, places: Array) -> bool:
     return bool(balanced and np.linalg.eigvalsh(stress.reshape(2 * out.shape[1:])).min() > _RESISTING)
 
 
+def _coincide(particles: Indices, extent: float, roundoff: float = 0.0) -> bool:
+    """Return whether the particles of bodies (N, k) coincide; raise ValueError if they nearly do."""
+    if roundoff < extent <= _SMALLEST:
+        raise ValueError(
+            f"the particles {listed(particles[0])} form a rigid body with an extent of only {extent:.2g} nm, whose "
+            f"rotation is too fast for any step: make the body larger than {_SMALLEST:g} nm, or let its particles "
+            "coincide"
+        )
+    return extent <= roundoff
+
+
 def _kind(particles: Indices, masses: Array, distances: Array) -> Kind:
     """Return the kind of bodies with given distances (k, k), with their particles placed in the principal axes."""
-    if distances.max() <= _POINT:
+    if _coincide(particles, float(distances.max())):
         return _point(particles, masses)
     kind = _in_principal_axes(particles, masses, _scaled(distances))
     residual = np.abs(np.linalg.norm(kind.sites[0, :, None] - kind.sites[0], axis=2) - distances).max()
