@@ -31,13 +31,12 @@ _STREAMS = 2**22  # a seed and a stream fit into the 53 bits of an OpenMM variab
 class Factors(NamedTuple):
     """The device kernel that computes the two factors of a heat exchange, a function in kernels/thermostats.cl.
 
-    The record contains the name of the kernel, its preprocessor definitions and the number of its persistent variables.
-    The variables are those of ``Thermostat.numbers``, followed by the thermostat's own.
+    The record contains the name of the kernel and its preprocessor definitions. Its persistent variables are those of
+    ``Thermostat.persistent``.
     """
 
     kernel: str
     defines: tuple[tuple[str, object], ...]
-    size: int
 
 
 class Thermostat(ABC):
@@ -87,6 +86,11 @@ class Thermostat(ABC):
     def own_numbers(self) -> tuple[str, ...]:
         """Names of variables of this thermostat alone. Other thermostats cannot read checkpoints that contain them."""
         return ()
+
+    @property
+    def persistent(self) -> tuple[str, ...]:
+        """Names of all persistent variables: `numbers`, and then `own_numbers`."""
+        return (*self.numbers, *self.own_numbers)
 
     @abstractmethod
     def bind(self, environment: Environment) -> Exchange:

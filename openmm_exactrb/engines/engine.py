@@ -28,12 +28,6 @@ from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.thermostat import Thermostat
 
-#: The error message for a thermostat whose heat the engine does not record.
-NO_BALANCE = (
-    "the device engine does not record the heat of the thermostat: call heat() before the first step, or use "
-    "engine='host', to monitor the energy balance"
-)
-
 
 @dataclass(frozen=True)
 class Settings:
@@ -84,7 +78,7 @@ class Settings:
     @property
     def numbers(self) -> tuple[str, ...]:
         """The names of the persistent numbers that substeps change."""
-        return () if self.thermostat is None else (*self.thermostat.numbers, *self.thermostat.own_numbers)
+        return () if self.thermostat is None else self.thermostat.persistent
 
     @property
     def watched(self) -> tuple[float, float] | None:
@@ -146,7 +140,7 @@ class Propagator(Protocol):
     def last_exchange(self) -> tuple[State, State] | None:
         """The states before and after the last heat exchange, or None if the state has changed since that step.
 
-        A ValueError is raised if the engine does not store these states.
+        What does not affect kinetic energies may be that of a later time.
         """
 
     @property

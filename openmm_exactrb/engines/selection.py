@@ -66,14 +66,6 @@ class Selection:
         if self.engine is not before:
             before.release(integrator)
 
-    def leave_to_host(self, integrator: openmm.CustomIntegrator, settings: Settings, why: str) -> None:
-        """Exclude all engines but the host; the state of an engine in use continues from what the Context shows."""
-        before, self._candidates = self.engine, self._candidates[-1:]
-        self._choose(self._candidates[0], why, settings)
-        if self.engine is not before:
-            before.release(integrator)
-            variables.mark(integrator, variables.NOTHING)
-
     def _advised(self, context: Any, settings: Settings, serving: Sequence[Engine], reasons: list[str]) -> None:
         """Choose the first engine that is advised for a Context; `reasons` state why engines do not support it."""
         for engine in serving:

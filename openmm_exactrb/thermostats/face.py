@@ -9,7 +9,6 @@ from openmm import unit
 
 from openmm_exactrb.context import variables
 from openmm_exactrb.context.body_access import freedom_of, temperatures_of, thermal_energies
-from openmm_exactrb.engines.engine import NO_BALANCE
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.mechanics.free_motion import Constrain
 from openmm_exactrb.schemes import Scheme
@@ -64,7 +63,7 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         Raises
         ------
         ValueError
-            If no step has been performed since the bodies were last changed, or with the device engine.
+            If no step has been performed since the bodies were last changed.
         """
         propagator = self._up_to_date()
         if (exchange := propagator.last_exchange) is None:
@@ -88,26 +87,14 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
 
 
 class HeatedIntegrator(ThermostattedIntegrator):
-    """An integrator that sums the heat that its thermostat exchanges with the bodies.
-
-    Only the host records the heat of friction. With ``engine="auto"``, it performs the steps if ``heat()`` or
-    ``effectiveEnergy()`` is called before the first one.
-    """
+    """An integrator that sums the heat that its thermostat exchanges with the bodies."""
 
     def heat(self) -> unit.Quantity:
         """Return the energy that the thermostat has added to the bodies since the start of the run.
 
         The kinetic energy that a ``CMMotionRemover`` has removed is subtracted. Loading a checkpoint, or a State with
         ``integratorParameters=True``, restores the energy of the earlier part of the run.
-
-        Raises
-        ------
-        ValueError
-            If friction acts on the device, which does not record the heat.
         """
-        self._monitor()
-        if self._propagator is not None and self.getEngine() != "host" and self._thermostat.factors is None:
-            raise ValueError(NO_BALANCE)
         return variables.get(self, self._thermostat.heat) * unit.kilojoule_per_mole
 
     def effectiveEnergy(self) -> unit.Quantity:
@@ -122,17 +109,6 @@ class HeatedIntegrator(ThermostattedIntegrator):
         Raises
         ------
         ValueError
-            If friction acts on the device, which does not record the heat.
+            If the device engine lets OpenMM evaluate fast forces in a drift after the last heat exchange.
         """
-        self._monitor()
         return self._energyAtExchange() - self.heat()
-
-    def _monitor(self) -> None:
-        """Leave the steps to the host, which records heat, if another engine is possible but has performed none yet."""
-        if not self._selection.open or self._thermostat.factors is not None:
-            return
-        sync = self._propagator and self._propagator.sync
-        if not sync or sync.outdated or not sync.context.getStepCount():
-            why = "only the host records the heat, which was asked for before the first step"
-            self._selection.leave_to_host(self, self._settings(), why)
-            self._propagator = None

@@ -211,7 +211,7 @@ class ExactRigidBodyLangevinIntegrator(HeatedIntegrator):
     bodies, fast, inner, innerSteps, forceInterval, checkDivergence, constraints : optional
         As in `ExactRigidBodyIntegrator`.
     engine : {"auto", "host", "device"}, optional
-        As in `ExactRigidBodyIntegrator`. ``temperaturesAroundThermostat`` and the balance of energy need "host".
+        As in `ExactRigidBodyIntegrator`.
 
     Raises
     ------

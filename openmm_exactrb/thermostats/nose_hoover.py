@@ -111,7 +111,7 @@ class NoseHooverChain(Thermostat):
         """The device kernel of the chains, with their length and their substeps as macros."""
         weights = WEIGHTS[self.numYoshidaSuzuki]
         sizes = ("CHAIN", self.chainLength), ("REPETITIONS", self.numMTS), ("N_WEIGHTS", len(weights))
-        return Factors("nose_hoover", (*sizes, ("WEIGHTS", ", ".join(map(repr, weights)))), len(self.own_numbers))
+        return Factors("nose_hoover", (*sizes, ("WEIGHTS", ", ".join(map(repr, weights)))))
 
     def kernel_exchange(self, tau: float, freedom: tuple[int, int]) -> tuple[float, ...]:
         """Return kT, the frequency, the degrees of freedom, and whether all momenta share one chain."""

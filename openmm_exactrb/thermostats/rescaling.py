@@ -52,7 +52,7 @@ class StochasticRescaling(Thermostat):
 
     numbers = (variables.HEAT,)
     heat: ClassVar[str | None] = variables.HEAT
-    factors = Factors("rescaling", (("RESCALING", 1),), 1)
+    factors = Factors("rescaling", (("RESCALING", 1),))
 
     def __post_init__(self) -> None:
         time = plain(self.relaxationTime, unit.picosecond, "a relaxation time")

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from openmm_exactrb.context import variables
 from openmm_exactrb.engines.device.flexible.evaluated import Evaluated
 from openmm_exactrb.engines.device.flexible.part import Flexible, FlexiblePart
 from openmm_exactrb.engines.device.program import Launch, Program, Source
@@ -19,7 +20,7 @@ from openmm_exactrb.moves import Move, Op, of_substep
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.sequence import inverse, up_to_kick
 from openmm_exactrb.schemes.thermostatted import canonical_momenta
-from openmm_exactrb.thermostat import Factors
+from openmm_exactrb.thermostat import Factors, Thermostat
 
 #: Number of parameters of a heat exchange in addition to its time; see kernels/rigid.cl.
 EXCHANGE_NUMBERS = 8
@@ -46,12 +47,13 @@ class Assembly:
         scheme: Scheme,
         updates: Any,
         sites: bool,
-        factors: Factors | None = None,
+        thermostat: Thermostat | None = None,
         flexible: Sequence[Flexible] = (),
         evaluated: Evaluated | None = None,
         pairs: bool = False,
     ) -> None:
         self.scheme, processed = scheme, bool(scheme.processor)
+        factors = None if thermostat is None else thermostat.factors
         inner = next((some.molecules.inner for some in flexible if some.molecules.inner), None)
         if inner is not None or evaluated is not None:
             scheme = scheme.with_inner_steps
@@ -72,17 +74,19 @@ class Assembly:
         if inner is not None:  # and one at the positions of each displaced kick
             self.fast_evaluations = sum(map(inner.evaluations, drifts)) + step.remembered[1]
         self._has_output = bool(scheme.output)
-        self._demands = demands = _demands(scheme, step, factors is not None, pairs)
+        self._demands = demands = _demands(scheme, step, thermostat, pairs)
         self.table = Table(demands.own)
         prefixes = "flexible_", "constrained_"
         molecules = [FlexiblePart(some, demands, prefix) for some, prefix in zip(flexible, prefixes, strict=False)]
         others = np.concatenate([np.zeros(0, int), *(part.bodies for part in molecules)])
         self.parts: list[RigidPart | FlexiblePart] = [*molecules, *parts_of(bodies, demands, others)]
         self.program = to = Program()
-        to.scalars |= {"turn": 0.0, "key": 0.0, "enough": self._enough}
+        to.scalars |= {"turn": 0.0, "key": 0.0, "removes": 0.0, "enough": self._enough}
         to.array("factors", 2)
         to.array("totals", 3)
-        to.array("thermostat", factors.size if factors else 0, saved=True)
+        numbers = () if thermostat is None else thermostat.persistent
+        to.array("thermostat", len(numbers), saved=True)
+        to.numbers = "thermostat", [variables.PREFIX + name for name in numbers]
         sequences = Sequences(self.parts, self.table, sites, factors and self._factors(factors))
         sequences.write_step(to, step, processed)
         if processed:
@@ -105,8 +109,8 @@ class Assembly:
         return max(math.ceil(size / per_step) for size, per_step in pairs) if self._has_output else 1e300
 
 
-def _demands(scheme: Scheme, step: Step, scales: bool, pairs: bool) -> Demands:
-    """Return what a scheme and its thermostat require of the kernels; the flags are those of `Demands`."""
+def _demands(scheme: Scheme, step: Step, thermostat: Thermostat | None, pairs: bool) -> Demands:
+    """Return what a scheme and its thermostat require of the kernels; `pairs` is that of `Demands`."""
     moves = _moves(scheme)
     (forces, differences), (per_step, of_differences) = scheme.memory, step.remembered
     return Demands(
@@ -114,7 +118,9 @@ def _demands(scheme: Scheme, step: Step, scales: bool, pairs: bool) -> Demands:
         (differences, max(of_differences, 1)),
         bool(scheme.processor),
         any(move.op == Op.DISPLACE for move in moves),
-        scales,
+        any(move.op == Op.EXCHANGE for move in moves),
+        thermostat is not None and thermostat.factors is not None,
+        -1 if thermostat is None or thermostat.heat is None else thermostat.persistent.index(thermostat.heat),
         tuple(dict.fromkeys(move.text for move in moves if move.text)),
         pairs,
     )

@@ -1,10 +1,14 @@
-"""The state of the bodies at the last heat exchange of a step."""
+"""The states of the bodies at the last heat exchange of a step, and before and after it."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from openmm_exactrb.context.synchronisation import Synchronisation
 from openmm_exactrb.engines.device.flexible.molecules import Served
+from openmm_exactrb.engines.device.sequences import Part
 from openmm_exactrb.engines.engine import Settings
+from openmm_exactrb.engines.library import Device
 from openmm_exactrb.mechanics.free_motion import free_motion
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.multiple_time_steps.fast_forces import FastForces
@@ -28,3 +32,11 @@ def at_exchange(settings: Settings, served: Served, fast: FastForces | None, syn
         nested = fast.excerpt.part
         state = nested.into(state, nested.of(sync.state))
     return state
+
+
+def around_exchange(sync: Synchronisation, device: Device, parts: Sequence[Part]) -> tuple[State, State]:
+    """Return the states before and after the last heat exchange, but for the places and attitudes of rigid bodies."""
+    before, after = (State(*(a.copy() for a in sync.state)) for _ in range(2))
+    for part in parts:
+        part.read_exchange(device, (before, after))
+    return before, after

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -116,11 +116,15 @@ class Program:
     since OpenMM last updated the Context. "held" is 1 if the last call ended with the sequence "hold".
     "settings" identifies the settings to which the inner state of a processed scheme belongs, "inner" is the
     fingerprint of this state, or 0 without one, and "enough" is the number of steps after which its output is cheap.
+
+    `numbers` contains the name of an array, and the names of the integrator's global variables to which its numbers are
+    copied after steps.
     """
 
     arrays: dict[str, Array] = field(default_factory=dict)
     scalars: dict[str, float] = field(default_factory=lambda: dict.fromkeys(_COUNTS, 0.0))
     sequences: dict[str, list[Operation]] = field(default_factory=dict)
+    numbers: tuple[str, Sequence[str]] = ("", ())
 
     def array(self, name: str, size: int, element: int = 8, saved: bool = False) -> str:
         """Declare an array of at least one element, with `element` bytes per element, and return its name."""
@@ -146,6 +150,8 @@ class Program:
             f"array {a.name} {a.element} {a.size} {'saved' if a.saved else 'scratch'}" for a in self.arrays.values()
         ]
         lines += [f"scalar {name} {value!r}" for name, value in self.scalars.items()]
+        if self.numbers[1]:
+            lines.append(f"numbers {' '.join((self.numbers[0], *self.numbers[1]))}")
         names: dict[Launch, str] = {}
         source = None
         for launch in self.launches:

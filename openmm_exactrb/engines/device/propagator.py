@@ -15,7 +15,7 @@ from openmm_exactrb.context.forces import ContextForces
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.updates import ContextUpdates, conserve_energy
 from openmm_exactrb.engines.device.assembly import EXCHANGE_NUMBERS, Assembly
-from openmm_exactrb.engines.device.exchange import at_exchange
+from openmm_exactrb.engines.device.exchange import around_exchange, at_exchange
 from openmm_exactrb.engines.device.flexible.molecules import served
 from openmm_exactrb.engines.device.flexible.part import Flexible
 from openmm_exactrb.engines.device.reports import DivergedError, judged, kinetic_by_kind, monitor
@@ -30,7 +30,6 @@ from openmm_exactrb.openmm_access import platforms
 from openmm_exactrb.openmm_access.molecules import in_flexible_molecules
 from openmm_exactrb.openmm_access.units import gas_constant_times
 from openmm_exactrb.support.warn import warn
-from openmm_exactrb.thermostat import Factors
 
 # The state is checked after portions of at least and at most these numbers of steps. Portions grow while one takes less
 # than this time (s).
@@ -84,8 +83,8 @@ class DevicePropagator:
 
     @property
     def last_exchange(self) -> tuple[State, State] | None:
-        """Raise a ValueError, because the device does not store the states before and after heat exchanges."""
-        raise ValueError("the device engine does not store the momenta within a step: use engine='host'")
+        """The states before and after the last heat exchange, or None if the state has changed since that step."""
+        return around_exchange(self.sync, self.device, self._assembly.parts) if self.sync.stepped else None
 
     @property
     def defers_inner_drifts(self) -> bool:
@@ -119,7 +118,7 @@ class DevicePropagator:
             self._settings.scheme,
             self.updates,
             self._sites,
-            self._factors,
+            self._settings.thermostat,
             self._flexible,
             self._served.evaluated,
             self._on_processor,
@@ -179,20 +178,17 @@ class DevicePropagator:
         if fast.acts(settings.splitting, settings.h):
             self._resonances.warn(settings.splitting, abs(settings.h / settings.splits))
 
-    @property
-    def _factors(self) -> Factors | None:
-        thermostat = self._settings.thermostat
-        return None if thermostat is None else thermostat.factors
-
     def _exchange(self, tau: float) -> tuple[float, ...]:
         """Return the numbers of a heat exchange over tau (ps), padded with zeros to `EXCHANGE_NUMBERS`."""
         numbers = self._settings.thermostat.kernel_exchange(tau, self.updates.freedom(self.sync.bodies))
         return (*numbers, *(0.0,) * (EXCHANGE_NUMBERS - len(numbers)))
 
     def _send(self, key: int) -> None:
-        """Write the key of the random numbers, and how often barostats and thermostats act, if they have changed."""
-        intervals = {"interval": float(self.updates.interval), "always": float(self.updates.always)}
-        present = intervals | {"key": float(key)}
+        """Write the key of the random numbers, and what acts between steps, if they have changed."""
+        updates = self.updates
+        intervals = {"interval": float(updates.interval), "always": float(updates.always)}
+        removes = float(updates.removes_motion and not updates.pushes)
+        present = intervals | {"removes": removes, "key": float(key)}
         if present == self._sent:
             return
         if any(self.device[name] != value for name, value in intervals.items()):
@@ -202,17 +198,10 @@ class DevicePropagator:
         self._sent = present
 
     def _send_numbers(self) -> None:
-        """Write the persistent numbers of a thermostat to the device."""
-        if self._factors is not None:
-            integrator = self._integrator()
-            self.device.upload("thermostat", np.array([variables.get(integrator, n) for n in self._settings.numbers]))
-
-    def _fetch_numbers(self) -> None:
-        """Read the persistent numbers of a thermostat from the device."""
-        if self._factors is not None:
-            values = self.device.download("thermostat", np.empty(self._factors.size))
-            for name, value in zip(self._settings.numbers, values, strict=True):
-                variables.put(self._integrator(), name, float(value))
+        """Write the persistent numbers of a thermostat to the device, which returns them after each call."""
+        integrator = self._integrator()
+        if values := [variables.get(integrator, name) for name in self._settings.numbers]:
+            self.device.upload("thermostat", np.array(values))
 
     # -- calls -----------------------------------------------------------------------------------------------------
 
@@ -250,7 +239,6 @@ class DevicePropagator:
             if time.perf_counter() - start < _SECONDS:
                 self._portion = min(2 * self._portion, _MOST)
             n -= count
-        self._fetch_numbers()
         if self._overheating is not None:
             now = self.sync.context.getTime()._value
             self._overheating.see(now, lambda: kinetic_by_kind(self.device, self._assembly.parts))
@@ -266,6 +254,7 @@ class DevicePropagator:
         self._kept = self._shown
         try:
             self._make(n, shows, since)
+            self.sync.stepped = True
         except DivergedError as found:
             self._restore()
             if n == 1:
@@ -304,6 +293,7 @@ class DevicePropagator:
         self.device.restore()
         self._shown = self._kept
         self.sync.moved_on()
+        self.sync.stepped = False
 
     def _show(self) -> None:
         """Show the state of a processed scheme in the Context, if it does not yet."""

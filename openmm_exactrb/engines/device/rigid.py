@@ -27,6 +27,8 @@ Values = Mapping[str, NDArray[Any]]
 LARGE, LANES = 16, 64
 #: Number of threads per block, and largest number of blocks in a sum of kinetic energies.
 BLOCK, GROUPS = 64, 256
+#: The number of sums, and the arrays to which they are added; see kernels/sums.cl.
+SUMS, TOTALS = 4, ("totals", "thermostat")
 #: A body counts as unmoved if a barostat displaced it by less than this distance (nm).
 STILL = 1e-9
 _STATE = ("R", "P", "q", "L")
@@ -53,8 +55,12 @@ class Demands:
         Whether the Context shows a copy of the bodies, as for processed schemes.
     displaces : bool
         Whether the scheme contains force-gradient kicks.
+    exchanges : bool
+        Whether the scheme contains heat exchanges.
     scales : bool
         Whether heat exchanges multiply all momenta by common factors.
+    heat : int
+        The index of the heat among the persistent numbers of the thermostat, or -1.
     own : tuple of str
         Source texts of the users' moves, in the order of their numbers.
     pairs : bool
@@ -65,13 +71,15 @@ class Demands:
     differences: tuple[int, int] = (0, 1)
     copied: bool = False
     displaces: bool = False
+    exchanges: bool = False
     scales: bool = False
+    heat: int = -1
     own: tuple[str, ...] = ()
     pairs: bool = False
 
     @property
-    def memory_defines(self) -> tuple[tuple[str, int], ...]:
-        """The macros of the kernels for stored forces."""
+    def defines(self) -> tuple[tuple[str, int], ...]:
+        """The macros of the kernels for stored forces and for heat exchanges."""
         (forces, per_step), (differences, of_differences) = self.memory, self.differences
         return (
             ("MEMORY", max(forces, 1)),
@@ -81,6 +89,7 @@ class Demands:
             ("KEEPS_DIFFERENCES", int(differences > 0)),
             ("GRADIENTS", int(self.displaces)),
             ("SCALES", int(self.scales)),
+            ("HEAT", self.heat),
         )
 
     @property
@@ -142,7 +151,7 @@ class RigidPart:
             ("BODIES", self.n),
             ("LANES", self._lanes),
             *([("SITES", *sizes)] if len(sizes) == 1 and self._lanes == 1 else []),
-            *demands.memory_defines,
+            *demands.defines,
             ("STILL", STILL),
             ("LIGHT", LIGHT),
             ("BLOCK", BLOCK),
@@ -176,7 +185,10 @@ class RigidPart:
         to.array(memory, 6 * self.n * self._demands.memory[0], saved=True)
         to.array(differences, 6 * self.n * self._demands.differences[0], saved=True)
         to.array(here, 6 * self.n * self._demands.displaces)
-        to.array(self._prefix + "kinetic", 3 * GROUPS)
+        exchanged, heat, kinetic = self._named("exchanged", "heat", "kinetic")
+        to.array(exchanged, 12 * self.n * self._demands.exchanges)
+        to.array(heat, self.n * self._demands.exchanges, saved=True)
+        to.array(kinetic, SUMS * GROUPS)
 
     def launches(self, segment: Segment, table: Table) -> list[Operation]:
         """Return the launch that performs a segment."""
@@ -191,7 +203,7 @@ class RigidPart:
             "force",
             *self._named(*_TABLES),
             *self.state(segment.copied),
-            *self._named("index", "last", "differences", "here"),
+            *self._named("index", "last", "differences", "here", "exchanged", "heat"),
             *(Table.MOVES, Table.NUMBERS, "factors"),
             *table.rows(moves),
             *(what, "#step", "$key", "$turn"),
@@ -204,20 +216,22 @@ class RigidPart:
 
     def reductions(self, copied: bool, adds: bool) -> list[Operation]:
         """Return operations that write the kinetic energies to "totals" or, if `adds`, add the energies to "totals"."""
-        sums, threads = self._named("kinetic")[0], min(self.n, BLOCK * GROUPS)
+        threads, (heat, sums) = min(self.n, BLOCK * GROUPS), self._named("heat", "kinetic")
         tables = self._named("kind", "kinds", "constants")
-        kinetic = Launch(self._source, "kinetic", threads, (*tables, *self.state(copied), sums), BLOCK)
-        return [kinetic, Launch(self._source, "total", BLOCK, (sums, "totals", int(adds)), BLOCK)]
+        kinetic = Launch(self._source, "kinetic", threads, (*tables, *self.state(copied), heat, sums), BLOCK)
+        return [kinetic, Launch(self._source, "total", BLOCK, (sums, *TOTALS, int(adds)), BLOCK)]
 
     def kinetic_by_kind(self, device: Device) -> Array:
         """Return the kinetic energies that the last reductions found: of translation, rotation and other particles."""
-        sums = device.download(self._named("kinetic")[0], np.empty((GROUPS, 3))).sum(axis=0)
+        sums = device.download(self._named("kinetic")[0], np.empty((GROUPS, SUMS))).sum(axis=0)
         return np.array([sums[0], sums[1], 0.0])
 
     def pushed(self, copied: bool, to_copy: bool) -> list[Operation]:
         """Return operations that add to state(to_copy) the change of the Context's velocities since state(copied)."""
         _, P, _, L = self.state(to_copy)
-        return [self._launch("pushed", (*_CONTEXT, *self._named(*_TABLES), *self.state(copied), P, L))]
+        states = *self.state(copied), P, L
+        arguments = *_CONTEXT, *self._named(*_TABLES), *states, *self._named("heat"), "$removes"
+        return [self._launch("pushed", arguments)]
 
     def moved(self, copied: bool) -> list[Operation]:
         """Return the operations that read positions changed by OpenMM."""
@@ -276,6 +290,14 @@ class RigidPart:
         turning, columns = self._turning, self.columns
         out.R[:, :, columns], out.P[:, :, columns] = R, P
         out.q[:, :, columns[turning]], out.m[:, :, columns[turning]] = q[:, :, turning], L[:, :, turning]
+
+    def read_exchange(self, device: Device, around: tuple[State, State]) -> None:
+        """Read the momenta of these bodies before and after the last heat exchange into two states of all bodies."""
+        momenta = device.download(self._prefix + "exchanged", np.empty((2, 2, 3, self.n)))
+        turning, columns = self._turning, self.columns
+        for out, (P, L) in zip(around, momenta, strict=True):
+            out.P[:, :, columns] = exactly(P)
+            out.m[:, :, columns[turning]] = exactly(L[:, turning])
 
 
 def _constants(kind: Kind) -> Iterator[tuple[float, ...]]:

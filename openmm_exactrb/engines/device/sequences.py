@@ -11,6 +11,7 @@ from typing import Any, Protocol
 from openmm_exactrb.engines.device import program
 from openmm_exactrb.engines.device.program import Operation, Program
 from openmm_exactrb.engines.device.segments import Rows, Segment, Step, Table, divided
+from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.sequence import Sequence as Substeps
 from openmm_exactrb.schemes.sequence import inverse
@@ -35,6 +36,9 @@ class Part(Protocol):
 
     def reductions(self, copied: bool, adds: bool) -> Sequence[Operation]:
         """Return the operations that write kinetic energies and the number of invalid bodies to "totals"."""
+
+    def read_exchange(self, device: Any, around: tuple[State, State]) -> None:
+        """Read the momenta of these bodies before and after the last heat exchange into two states of all bodies."""
 
     def kinetic_by_kind(self, device: Any) -> Array:
         """Return the kinetic energies that the last reductions found: of translation, rotation and other particles."""

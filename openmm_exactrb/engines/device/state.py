@@ -28,6 +28,7 @@ class DeviceState(Synchronisation):
     """
 
     _behind = False  # whether the device has moved the bodies since `state` was read
+    stepped = False  #: whether the state is the result of the last steps
 
     def begin(self, device: Device, parts: Sequence[Any], processed: bool, single: bool) -> None:
         """Store the state in the arrays of a program on `device`, which the program's `parts` read and write."""
@@ -72,7 +73,7 @@ class DeviceState(Synchronisation):
 
     def _take(self, known: State | None, state: State, elsewhere: bool) -> None:
         """Accept a state, and write it to the device if it changed or if massless particles moved (`elsewhere`)."""
-        self.state, self._behind = state, False
+        self.state, self._behind, self.stepped = state, False, False
         if elsewhere or state is not known:
             self.inner = None if known is None or elsewhere or not self._processed else self._inner()
             if known is not None:
@@ -126,7 +127,7 @@ class DeviceState(Synchronisation):
 
     def replace(self, state: State) -> None:
         """Replace the state of the bodies and push it."""
-        self.state, self.inner, self._behind = state, None, False
+        self.state, self.inner, self._behind, self.stepped = state, None, False, False
         self.push()
 
     def _write(self) -> None:

@@ -65,10 +65,13 @@ class HostEnvironment:
         return self.settings.thermostat.flow(self, number)
 
     def at_rest(self, state: State) -> State:
-        """Return the state after a CMMotionRemover, and subtract from the heat the kinetic energy that it removed."""
+        """Return the state after a CMMotionRemover, and subtract from the heat the kinetic energy that it removed.
+
+        With an AndersenThermostat, which adds energy too, there is no balance to keep.
+        """
         after = self.updates.remove_motion(self.bodies.mass, state, self.clock.number)
         thermostat = self.settings.thermostat
-        if after is not state and thermostat is not None and thermostat.heat is not None:
+        if after is not state and thermostat is not None and thermostat.heat is not None and not self.updates.pushes:
             self.numbers.present[thermostat.heat] += kinetic_gain(self.bodies, state, after)
         return after
 

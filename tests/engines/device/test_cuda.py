@@ -12,7 +12,7 @@ from on_device import device_platform
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.engines.device.assembly import Assembly
 from openmm_exactrb.schemes.catalogue import scheme_for_thermostat
-from openmm_exactrb.thermostats import NoseHooverChain, StochasticRescaling
+from openmm_exactrb.thermostats import Langevin, NoseHooverChain, StochasticRescaling
 from peptides import in_water
 
 # Each precision and each kind of GPU once; all combinations with --validate.
@@ -30,9 +30,8 @@ UPDATES = SimpleNamespace(has_thermostats=True, removes_motion=True)
 def sources(scheme, thermostat, start):
     system, positions, *named = start
     bodies = find_bodies(system, positions, *named)
-    factors = None if thermostat is None else thermostat.factors
     steps = scheme if thermostat is None else thermostat.steps(scheme)
-    launches = Assembly(bodies, steps, UPDATES, True, factors).program.launches
+    launches = Assembly(bodies, steps, UPDATES, True, thermostat).program.launches
     return dict.fromkeys(launch.source.text for launch in launches)
 
 
@@ -64,10 +63,11 @@ def assert_none_spills(texts, arch, precision, folder):
     [
         ("W2_1", None, water(8)),
         ("W4_4", None, every_kind()),
+        ("BAOA", Langevin(300.0, 1.0), every_kind()),
         ("BAOA", StochasticRescaling(300.0, 1.0), water(8)),
         ("S2_2", NoseHooverChain(300.0, 1.0), water(8)),
     ],
-    ids=["water", "every kind", "rescaling", "chain"],
+    ids=["water", "every kind", "friction", "rescaling", "chain"],
 )
 def test_kernels_compile_for_cuda_and_spill_nothing(scheme, thermostat, start, precision, arch, tmp_path):
     assert_none_spills(sources(scheme_for_thermostat(scheme), thermostat, start), arch, precision, tmp_path)

@@ -51,13 +51,3 @@ def test_the_balance_with_inner_steps_is_that_of_the_host(scheme):
     for integrator in (host, device):
         integrator.step(7)
     assert device.effectiveEnergy()._value == pytest.approx(host.effectiveEnergy()._value, rel=1e-8)
-
-
-def test_friction_has_no_balance_there():
-    make = rb.ExactRigidBodyLangevinIntegrator
-    _, device = pair(*water(), lambda engine: make(300.0, 1.0, 0.002, engine=engine))
-    integrator = device.getIntegrator()
-    integrator.step(1)
-    for ask in (integrator.heat, integrator.effectiveEnergy):
-        with pytest.raises(ValueError, match=r"call heat\(\) before the first step, or use engine='host'"):
-            ask()

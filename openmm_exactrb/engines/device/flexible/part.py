@@ -12,7 +12,7 @@ from openmm_exactrb.engines.device.flexible.blocks import blocks_of
 from openmm_exactrb.engines.device.flexible.inner import Moves, moves_of, up_to_drifts
 from openmm_exactrb.engines.device.flexible.molecules import Molecules
 from openmm_exactrb.engines.device.program import Launch, Operation, Program, Source, copy
-from openmm_exactrb.engines.device.rigid import BLOCK, GROUPS, STILL, Demands
+from openmm_exactrb.engines.device.rigid import BLOCK, GROUPS, STILL, SUMS, TOTALS, Demands
 from openmm_exactrb.engines.device.segments import Segment, Table
 from openmm_exactrb.engines.library import Device
 from openmm_exactrb.mathematics.compensated import exactly, quotient, times
@@ -26,7 +26,7 @@ THREADS = 256
 # Bits for the actions of a launch in addition to its moves, as in kernels/layout.cl.
 _MOVES, _PLACES, _PROJECTS, _SHOWS = 1, 2, 4, 8
 _CONTEXT = ("posq", "posqCorrection", "velm", "force", "places", "box")
-_FORCES = ("memory", "differences", "here", "push", "seen")
+_FORCES = ("memory", "differences", "here", "push", "seen", "exchanged", "heat")
 _ATOMS = ("atoms", "bodies", "inverse")
 _TABLES = ("blocks", "block_atoms", "clusters", "lengths", "graphs", "room", "members", "constants", "exact")
 
@@ -69,9 +69,12 @@ class FlexiblePart:
         demands = self._demands
         constants |= {"FINE": "float" if self._precision is np.float32 else "double", "STILL": STILL}
         constants |= {"BLOCK": BLOCK, "GROUPS": GROUPS, "LIGHT": LIGHT}
-        constants |= dict(demands.memory_defines)
+        constants |= dict(demands.defines)
         files = ("random.cl", "context.cl", "layout.cl", "fixed_sums.cl", "star.cl", "graph.cl", "bonded.cl")
         return Source("flexible", (*files, "inner.cl", "sums.cl", "flexible_updates.cl"), tuple(constants.items()))
+
+    def _named(self, *names: str) -> tuple[str, ...]:
+        return tuple(self._prefix + name for name in names)
 
     def state(self, copied: bool) -> tuple[str, str]:
         """Return the names of the arrays of a state: positions and velocities."""
@@ -101,7 +104,9 @@ class FlexiblePart:
         for name in ("push", "there"):
             to.array(f"{self._prefix}{name}", 3 * self.n * demands.displaces, demands.state_element)
         to.array(self._seen, 3 * self.n, demands.state_element)
-        to.array(f"{self._prefix}kinetic", 3 * GROUPS)
+        to.array(f"{self._prefix}exchanged", 12 * self.n * demands.exchanges)
+        to.array(f"{self._prefix}heat", self.n * demands.exchanges, saved=True)
+        to.array(f"{self._prefix}kinetic", SUMS * GROUPS)
 
     def launches(self, segment: Segment, table: Table) -> list[Operation]:
         """Return the launches of a segment: a single launch, or one for each drift if blocks share terms.
@@ -143,7 +148,7 @@ class FlexiblePart:
         arguments: tuple[str | int, ...] = (
             *_CONTEXT,
             *state,
-            *(f"{self._prefix}{name}" for name in (*_FORCES, *_ATOMS, *_TABLES)),
+            *self._named(*_FORCES, *_ATOMS, *_TABLES),
             *(Table.MOVES, Table.NUMBERS, "factors", *rows, what, "#step", "$key", "$turn"),
         )
         return Launch(self._source, "inner_steps", THREADS * len(self.blocks), arguments, THREADS)
@@ -151,19 +156,21 @@ class FlexiblePart:
     def reductions(self, copied: bool, adds: bool) -> list[Operation]:
         """Return operations that project velocities and write (or, if `adds`, add) the kinetic energy to "totals"."""
         x, v = self.state(copied)
-        threads, sums, inverse = min(self.n, BLOCK * GROUPS), f"{self._prefix}kinetic", f"{self._prefix}inverse"
-        kinetic = Launch(self._source, "flexible_kinetic", threads, (inverse, x, self._seen, sums), BLOCK)
-        total = Launch(self._source, "total", BLOCK, (sums, "totals", int(adds)), BLOCK)
+        threads, (inverse, heat, sums) = min(self.n, BLOCK * GROUPS), self._named("inverse", "heat", "kinetic")
+        kinetic = Launch(self._source, "flexible_kinetic", threads, (inverse, x, self._seen, heat, sums), BLOCK)
+        total = Launch(self._source, "total", BLOCK, (sums, *TOTALS, int(adds)), BLOCK)
         return [self._launch((0, 0), _PROJECTS, (x, x, v)), kinetic, total]
 
     def kinetic_by_kind(self, device: Device) -> Array:
         """Return the kinetic energies that the last reductions found: of translation, rotation and other particles."""
-        sums = device.download(f"{self._prefix}kinetic", np.empty((GROUPS, 3))).sum(axis=0)
+        sums = device.download(f"{self._prefix}kinetic", np.empty((GROUPS, SUMS))).sum(axis=0)
         return np.array([0.0, 0.0, sums[0]])
 
     def pushed(self, copied: bool, to_copy: bool) -> list[Operation]:
         """Return operations that add to state(to_copy) the change of the velocities that the Context showed last."""
-        arguments = "velm", "places", f"{self._prefix}atoms", self._seen, self.state(to_copy)[1]
+        _, v = self.state(to_copy)
+        atoms, inverse, heat = self._named("atoms", "inverse", "heat")
+        arguments = "velm", "places", atoms, inverse, self._seen, v, heat, "$removes"
         return [Launch(self._source, "flexible_pushed", self.n, arguments)]
 
     def moved(self, copied: bool) -> list[Operation]:
@@ -204,6 +211,14 @@ class FlexiblePart:
         x, v = (self._demands.download(device, name, shape)[:, massive] for name in self.state(copied))
         out.R[:, :, columns] = x.swapaxes(1, 2)
         out.P[:, :, columns] = np.array(times(mass, (v[0], v[1]))).swapaxes(1, 2)
+
+    def read_exchange(self, device: Device, around: tuple[State, State]) -> None:
+        """Read positions and momenta before and after the last heat exchange into two states of all bodies."""
+        massive = self._mass > 0.0
+        columns, mass = self.columns[massive], self._mass[massive, None]
+        x, before, after, _ = device.download(f"{self._prefix}exchanged", np.empty((4, self.n, 3)))[:, massive]
+        for out, v in zip(around, (before, after), strict=True):
+            out.R[:, :, columns], out.P[:, :, columns] = exactly(x.T), exactly((mass * v).T)
 
     def flag(self, device: Device, flexible: NDArray[np.bool_]) -> None:
         """Write the flags (N,) of bodies in flexible molecules, but not of isolated pairs of atoms, to the device."""

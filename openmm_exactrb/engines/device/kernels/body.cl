@@ -4,7 +4,8 @@
 // per body (1 or a block). MEMORY and PER_STEP are the numbers of stored forces, at least 1 in total, and per step.
 // DIFFERENCES and DIFFERENCES_PER_STEP are these numbers for differences between displaced and undisplaced forces, which
 // are stored if KEEPS_DIFFERENCES is nonzero. GRADIENTS is nonzero if the scheme has force-gradient kicks, and SCALES if
-// heat exchanges multiply momenta by common factors.
+// heat exchanges multiply momenta by common factors. HEAT is the index of the heat among the persistent numbers of the
+// thermostat, or negative.
 
 // The state of a body, the force on it, and the torque in its body frame. Unknown forces and torques are zero.
 typedef struct {

@@ -1,14 +1,20 @@
 // Transfer OpenMM's changes of velocities and positions between steps to the state of flexible molecules, and compute
 // the kinetic energy. Atoms that OpenMM did not change keep their state to the last bit.
 
-// Add changes of the velocities that were shown (CMMotionRemover, AndersenThermostat) to the velocities of a state.
-KERNEL void flexible_pushed(GLOBAL const mixed4* velm, GLOBAL const int4* places, GLOBAL const int* atoms, GLOBAL const number* seen,
-        GLOBAL number* v) {
+// Add changes of the velocities that were shown (CMMotionRemover, AndersenThermostat) to the velocities of a state. If all of
+// them are by a CMMotionRemover (`removes`), add the kinetic energy that they supply to the heat.
+KERNEL void flexible_pushed(GLOBAL const mixed4* velm, GLOBAL const int4* places, GLOBAL const int* atoms, GLOBAL const double* inverse,
+        GLOBAL const number* seen, GLOBAL number* v, GLOBAL double* heat, double removes) {
     for (OF_THREAD(i, ALL_ATOMS)) {
         const mixed4 now = velm[places[atoms[i]].x];
         const double change[3] = {now.x-(mixed) seen[3*i], now.y-(mixed) seen[3*i+1], now.z-(mixed) seen[3*i+2]};
-        for (int e = 0; e < 3; e++)
+        double gain = 0.0;
+        for (int e = 0; e < 3; e++) {
+            gain += change[e]*(2.0*seen[3*i+e]+change[e]);
             v[3*i+e] += change[e];
+        }
+        if (HEAT >= 0 && removes != 0.0 && inverse[i] != 0.0)
+            heat[i] += 0.5*gain/inverse[i];
     }
 }
 
@@ -24,17 +30,21 @@ KERNEL void flexible_moved(GLOBAL const real4* posq, GLOBAL const real4* posqCor
     }
 }
 
-// Sum the kinetic energy and the number of invalid atoms: those with a non-finite state, or faster than light. The
-// second sum, the kinetic energy of rotation, is zero for atoms.
-KERNEL void flexible_kinetic(GLOBAL const double* inverse, GLOBAL const number* x, GLOBAL const number* seen, GLOBAL double* sums) {
-    LOCAL double shared[3*BLOCK];
-    double mine[3] = {0.0, 0.0, 0.0};
+// Sum the kinetic energy, the number of invalid atoms, which have a non-finite state or are faster than light, and the
+// heat, which begins again at zero. The second sum, the kinetic energy of rotation, is zero for atoms.
+KERNEL void flexible_kinetic(GLOBAL const double* inverse, GLOBAL const number* x, GLOBAL const number* seen, GLOBAL double* heat, GLOBAL double* sums) {
+    LOCAL double shared[SUMS*BLOCK];
+    double mine[SUMS] = {0.0, 0.0, 0.0, 0.0};
     for (OF_THREAD(i, ALL_ATOMS)) {
         const double square = seen[3*i]*seen[3*i]+seen[3*i+1]*seen[3*i+1]+seen[3*i+2]*seen[3*i+2];
         if (inverse[i] != 0.0)
             mine[0] += 0.5*square/inverse[i];
         if (!(square <= LIGHT*LIGHT && x[3*i]*x[3*i]+x[3*i+1]*x[3*i+1]+x[3*i+2]*x[3*i+2] < 1e300))
             mine[2] += 1.0;
+        if (HEAT >= 0) {
+            mine[3] += heat[i];
+            heat[i] = 0.0;
+        }
     }
     write_sums(mine, shared, sums);
 }

@@ -66,20 +66,38 @@ DEVICE inline void factorise(const Graph* g) {
     }
 }
 
-// Solve the linear system for the right-hand side B, in place.
-DEVICE inline void solve(const Graph* g) {
+// Solve the linear system with the triangular factor for the right-hand side B, in place.
+DEVICE inline void solve_triangle(const Graph* g) {
     EACH_CONSTRAINT {
         double b = B(c);
         for (int e = g->rows[c]; e < DIAGONAL(c); e++)
             b -= FACTOR(e)*B(g->columns[e]);
         B(c) = b*FACTOR(DIAGONAL(c));
     }
+}
+
+// Solve the linear system for the right-hand side B, in place.
+DEVICE inline void solve(const Graph* g) {
+    solve_triangle(g);
     for (int c = g->constraints-1; c >= 0; c--) {
         const double b = B(c)*FACTOR(DIAGONAL(c));
         B(c) = b;
         for (int e = g->rows[c]; e < DIAGONAL(c); e++)
             B(g->columns[e]) -= FACTOR(e)*b;
     }
+}
+
+// Return the kinetic energy of velocities along the constraints, which a projection removes. `v` begins with the first atom.
+DEVICE inline double along_graph(const Graph* g, GLOBAL const double* v) {
+    double energy = 0.0;
+    EACH_CONSTRAINT {
+        double b = 0.0;
+        EACH_AXIS b -= R(0, c, e)*(v[3*FIRST(c)+e]-v[3*SECOND(c)+e]);
+        B(c) = b;
+    }
+    solve_triangle(g);
+    EACH_CONSTRAINT energy += 0.5*B(c)*B(c);
+    return energy;
 }
 
 // Compute the signed sum of a vector over the constraints of each atom.
@@ -110,9 +128,11 @@ DEVICE inline void keep_energy_of_graph(const Graph* g, GLOBAL const number* v) 
 }
 
 // Advance a cluster by t (ps). For t = 0, only project the velocities, which removes components along constraints. The
-// first atom has the index `at` in the block.
+// first atom has the index `at` in the block. If a heat exchange at these positions `relaxes` velocities, its heat is
+// corrected for the constraints.
 DEVICE inline void move_graph(double t, GLOBAL const int* cluster, int at, GLOBAL const int* graphs, GLOBAL const double* inverse,
-        GLOBAL const double* lengths, GLOBAL double* room, LOCAL_ARG number* xs, GLOBAL number* v) {
+        GLOBAL const double* lengths, GLOBAL double* room, bool relaxes, GLOBAL const double* before, GLOBAL const double* after, GLOBAL double* heat,
+        LOCAL_ARG number* xs, GLOBAL number* v) {
     const Graph own = graph_of(cluster, graphs, inverse, lengths, room), *g = &own;
     const int first = cluster[FIRST_ATOM];
     double part = 1.0, remaining = 1.0;
@@ -120,6 +140,9 @@ DEVICE inline void move_graph(double t, GLOBAL const int* cluster, int at, GLOBA
         double rest[3];
         EACH_CONSTRAINT EACH_AXIS R(0, c, e) = apart(X(FIRST(c), e), X(SECOND(c), e), rest+e);
         factorise(g);
+        if (relaxes)
+            heat[first] -= along_graph(g, after+3*first)-along_graph(g, before+3*first);
+        relaxes = false;
         EACH_CONSTRAINT {
             double b = 0.0;
             EACH_AXIS b -= R(0, c, e)*(V(FIRST(c), e)-V(SECOND(c), e));

@@ -13,9 +13,16 @@
 // positions to a separate array. The second launch reads these positions, and kicks by the slow force there, which it
 // projects onto the constraints. `here` contains the slow accelerations before the displacement, and `push` the velocities
 // of the displacement and then the projected accelerations. `seen` contains the projected velocities, which are shown.
+//
+// Heat is the change of the kinetic energy of projected velocities. A heat exchange adds the change for free atoms. The next
+// motion of a cluster starts with a projection at the same positions, and subtracts the part along the constraints, for
+// successive exchanges at once.
 
 #define OF_MOVE(k, column) moves[MOVE_ROW*(k)+column]
 #define TAU(k) numbers[OF_MOVE(k, FIRST_NUMBER)]
+#define IS_EXCHANGE(k) (OF_MOVE(k, OP) == EXCHANGE)
+// Whether a heat exchange supplies heat by friction and noise.
+#define RELAXES(k) (HEAT >= 0 && !SCALES && IS_EXCHANGE(k) && ((&TAU(k))[FADE] != 0.0 || (&TAU(k))[FADE_OF_FLEXIBLE] != 0.0))
 #define MOVES_CLUSTERS(op) (op == DRIFT || (GRADIENTS && (op == DISPLACE || op == DISPLACED_KICK)))
 #define OF_KIND(kind, all) terms_of_kind(row, kind, all, &before)
 #define OF_BLOCK xs, sums, &broken, own
@@ -27,9 +34,10 @@ DEVICE inline int stored(mm_long number, int size) {
 
 // Perform the moves from `first` to `last` - 1 of an atom: kicks, heat exchanges, and the preparation of displacements and
 // of kicks at displaced positions.
-DEVICE inline void move_atom(int atom, int first, int last, GLOBAL const int* moves, GLOBAL const double* numbers, LOCAL_ARG const term_sum* sum,
+DEVICE inline void move_atom(int atom, int first, int last, GLOBAL const int* moves, GLOBAL const double* numbers, LOCAL_ARG const number* x, LOCAL_ARG const term_sum* sum,
         GLOBAL const component* force, int slot, int body, int flexible, double inverse, GLOBAL const double* factors, mm_long key, mm_long step, mm_long turns,
-        GLOBAL double* memory, GLOBAL const double* differences, GLOBAL double* here, GLOBAL number* push, GLOBAL number* v) {
+        GLOBAL double* memory, GLOBAL const double* differences, GLOBAL double* here, GLOBAL number* push,
+        GLOBAL double* exchanged, GLOBAL double* heat, GLOBAL number* v) {
     const int fade = flexible ? FADE_OF_FLEXIBLE : FADE;
     number V[3];
     double fast[3], slow[3], n[4];
@@ -51,16 +59,24 @@ DEVICE inline void move_atom(int atom, int first, int last, GLOBAL const int* mo
             for (int e = 0; e < 3; e++)
                 V[e] += of_move[0]*slow[e];
             break;
-        case EXCHANGE:
-            if (SCALES) {
-                for (int e = 0; e < 3; e++)
-                    V[e] += (factors[0]-1.0)*V[e];
-                break;
+        case EXCHANGE: {
+            double gain = 0.0;
+            if (!SCALES)
+                normals(key, step+late, 16*which, body, n);
+            for (int e = 0; e < 3; e++) {
+                const double before = V[e];
+                V[e] += SCALES ? (factors[0]-1.0)*V[e] : of_move[fade]*V[e]+of_move[fade+1]*sqrt(inverse)*n[e];
+                gain += (V[e]-before)*(V[e]+before);
+                EXCHANGED(AT_EXCHANGE, atom)[e] = x[e];
+                if (k == first || !IS_EXCHANGE(k-1))
+                    EXCHANGED(BEFORE_EXCHANGES, atom)[e] = before;
+                EXCHANGED(BEFORE_EXCHANGE, atom)[e] = before;
+                EXCHANGED(AFTER_EXCHANGE, atom)[e] = V[e];
             }
-            normals(key, step+late, 16*which, body, n);
-            for (int e = 0; e < 3; e++)
-                V[e] += of_move[fade]*V[e]+of_move[fade+1]*sqrt(inverse)*n[e];
+            if (HEAT >= 0 && !SCALES && inverse != 0.0)
+                heat[atom] += 0.5*gain/inverse;
             break;
+        }
         case REMEMBER:
             for (int e = 0; e < 3; e++)
                 memory[stored(turns*PER_STEP+which, MEMORY)+3*atom+e] = slow[e];
@@ -92,7 +108,7 @@ DEVICE inline void move_atom(int atom, int first, int last, GLOBAL const int* mo
 
 KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL mixed4* velm, GLOBAL const component* force,
         GLOBAL const int4* places, GLOBAL const double* box, GLOBAL const number* x, GLOBAL number* y, GLOBAL number* v, GLOBAL double* memory,
-        GLOBAL double* differences, GLOBAL double* here, GLOBAL number* push, GLOBAL number* seen,
+        GLOBAL double* differences, GLOBAL double* here, GLOBAL number* push, GLOBAL number* seen, GLOBAL double* exchanged, GLOBAL double* heat,
         GLOBAL const int* atoms, GLOBAL const int* bodies, GLOBAL const double* inverse, GLOBAL const int* blocks, GLOBAL const int* block_atoms,
         GLOBAL const int* clusters, GLOBAL const double* lengths, GLOBAL const int* graphs, GLOBAL double* room, GLOBAL const int* members,
         GLOBAL const fine* constants, GLOBAL const double* exact, GLOBAL const int* moves, GLOBAL const double* numbers, GLOBAL const double* factors,
@@ -107,12 +123,14 @@ KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL
             xs[i] = x[3*block_atoms[row[FIRST_PLACE]+i/3]+i%3];
         SYNC_THREADS
         int stop = first_move;
-        for (int begin = first_move; begin < end || (begin == first_move && what & PROJECTS); begin = stop+1) {
-            bool kicks = false;
-            for (stop = begin; stop < end && !MOVES_CLUSTERS(OF_MOVE(stop, OP)); stop++)
+        for (int begin = first_move; begin < end || (begin == first_move && what & PROJECTS); begin = stop < end && IS_EXCHANGE(stop) ? stop : stop+1) {
+            bool kicks = false, relaxes = false;
+            for (stop = begin; stop < end && !MOVES_CLUSTERS(OF_MOVE(stop, OP)) && !(relaxes && RELAXES(stop) && !IS_EXCHANGE(stop-1)); stop++) {
                 kicks = kicks || OF_MOVE(stop, OP) == FAST_KICK || OF_MOVE(stop, OP) == KICK || OF_MOVE(stop, OP) == REMEMBER;
+                relaxes = relaxes || RELAXES(stop);
+            }
             const int op = stop < end ? OF_MOVE(stop, OP) : DRIFT;
-            const bool by_force = op != DRIFT;
+            const bool by_force = op == DISPLACE || op == DISPLACED_KICK;
             for (int i = LOCAL_ID; i < 3*own; i += LOCAL_SIZE)
                 sums[i] = 0;
             if (LOCAL_ID == 0)
@@ -132,16 +150,17 @@ KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL
             }
             for (int i = LOCAL_ID; i < own; i += LOCAL_SIZE) {
                 const int atom = first_atom+i;
-                move_atom(atom, begin, stop+by_force, moves, numbers, sums+3*i, force, places[atoms[atom]].x, bodies[atom], bodies[ALL_ATOMS+atom], inverse[atom], factors, (mm_long) key,
-                    step, (mm_long) turns, memory, differences, here, push, v);
+                move_atom(atom, begin, stop+by_force, moves, numbers, xs+3*i, sums+3*i, force, places[atoms[atom]].x, bodies[atom], bodies[ALL_ATOMS+atom], inverse[atom], factors, (mm_long) key,
+                    step, (mm_long) turns, memory, differences, here, push, exchanged, heat, v);
             }
             SYNC_THREADS
-            // After the last drift, velocities need a projection only if they are read (PROJECTS). The projected velocities
-            // are a copy, so that steps do not depend on whether they are read.
-            if (stop < end || what & PROJECTS) {
-                const double t = stop == end || op == DISPLACED_KICK ? 0.0 : op == DISPLACE ? 1.0 : TAU(stop);
-                GLOBAL number* rates = by_force ? push : stop == end ? seen : v;
-                if (stop == end)
+            // After the last drift, velocities need a projection only if they are read (PROJECTS), or for the heat. The projected
+            // velocities are a copy, so that steps do not depend on whether they are read.
+            const bool copies = stop == end || op == EXCHANGE;
+            if (stop < end || what & PROJECTS || relaxes) {
+                const double t = copies || op == DISPLACED_KICK ? 0.0 : op == DISPLACE ? 1.0 : TAU(stop);
+                GLOBAL number* rates = by_force ? push : copies ? seen : v;
+                if (copies)
                     for (int i = 3*first_atom+LOCAL_ID; i < 3*(first_atom+own); i += LOCAL_SIZE)
                         seen[i] = v[i];
                 SYNC_THREADS
@@ -150,9 +169,9 @@ KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL
                     const bool idle = c >= row[CLUSTERS];
                     GLOBAL const int* cluster = clusters+CLUSTER_ROW*(row[FIRST_CLUSTER]+(idle ? 0 : c));
                     const int at = cluster[FIRST_ATOM]-first_atom;
-                    move_star(idle, t, cluster, at, inverse, lengths, xs, rates);
+                    move_star(idle, t, cluster, at, inverse, lengths, relaxes, EXCHANGED(BEFORE_EXCHANGES, 0), EXCHANGED(AFTER_EXCHANGE, 0), heat, xs, rates);
                     if (GRAPHS > 0 && !idle && cluster[GRAPH] >= 0 && LOCAL_ID%TEAM == 0)
-                        move_graph(t, cluster, at, graphs, inverse, lengths, room, xs, rates);
+                        move_graph(t, cluster, at, graphs, inverse, lengths, room, relaxes, EXCHANGED(BEFORE_EXCHANGES, 0), EXCHANGED(AFTER_EXCHANGE, 0), heat, xs, rates);
                 }
             }
             SYNC_THREADS

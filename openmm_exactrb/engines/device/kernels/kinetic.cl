@@ -1,9 +1,9 @@
-// Sum the kinetic energies of translation and of rotation, and the number of invalid bodies: those with a non-finite
-// state, or faster than light.
+// Sum the kinetic energies of translation and of rotation, the number of invalid bodies, which have a non-finite state or
+// are faster than light, and the heat, which begins again at zero.
 
-KERNEL void kinetic(GLOBAL const int* kind, GLOBAL const int* kinds, GLOBAL const double* constants, STATE, GLOBAL double* sums) {
-    LOCAL double shared[3*BLOCK];
-    double mine[3] = {0.0, 0.0, 0.0};
+KERNEL void kinetic(GLOBAL const int* kind, GLOBAL const int* kinds, GLOBAL const double* constants, STATE, GLOBAL double* heat, GLOBAL double* sums) {
+    LOCAL double shared[SUMS*BLOCK];
+    double mine[SUMS] = {0.0, 0.0, 0.0, 0.0};
     for (OF_THREAD(i, BODIES)) {
         const Place at = place_of(i, kind, kinds);
         Body body;
@@ -19,6 +19,10 @@ KERNEL void kinetic(GLOBAL const int* kind, GLOBAL const int* kinds, GLOBAL cons
         mine[1] += 0.5*L;
         if (!(P*body.inverse_mass <= LIGHT*LIGHT && L < 1e300 && x < 1e300))
             mine[2] += 1.0;
+        if (HEAT >= 0) {
+            mine[3] += heat[i];
+            heat[i] = 0.0;
+        }
     }
     write_sums(mine, shared, sums);
 }

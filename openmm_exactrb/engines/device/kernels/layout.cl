@@ -9,6 +9,10 @@ enum { OP, NUMBER_OF_MOVE, FIRST_NUMBER, NUMBERS_OF_MOVE, MOVE_ROW };
 // Indices of the friction factor of translation among the numbers of a heat exchange, for isolated bodies and for
 // bodies in flexible molecules. The amplitude of the noise follows each factor.
 enum { FADE = 1, FADE_OF_FLEXIBLE = 5 };
+// The position of an atom at the last heat exchange, its velocities before and after this exchange, and its velocity before
+// successive exchanges.
+enum { AT_EXCHANGE, BEFORE_EXCHANGE, AFTER_EXCHANGE, BEFORE_EXCHANGES };
+#define EXCHANGED(which, atom) (exchanged+3*((which)*ALL_ATOMS+(atom)))
 // Bits for the actions of a launch in addition to its moves.
 enum { MOVES_ATOMS = 1, PLACES_ATOMS = 2, PROJECTS = 4, SHOWS_VELOCITIES = 8 };
 

@@ -1,10 +1,10 @@
 // The moves of rigid bodies between two force evaluations, in one launch. OWN_MOVES contains the `case` labels of
 // users' moves.
 
-// Exchange heat: apply friction and noise, or multiply momenta by two factors. The numbers are tau, and the friction
-// factor and the amplitude of the noise, for translation and then for rotation. The last four numbers apply to bodies
-// in flexible molecules.
-DEVICE inline void exchange(Body* body, GLOBAL const double* constants, GLOBAL const double* numbers, GLOBAL const double* factors,
+// Apply friction and noise, or multiply momenta by two factors. The numbers are tau, and the friction factor and the
+// amplitude of the noise, for translation and then for rotation. The last four numbers apply to bodies in flexible
+// molecules.
+DEVICE inline void relax(Body* body, GLOBAL const double* constants, GLOBAL const double* numbers, GLOBAL const double* factors,
         int flexible, mm_long key, mm_long step, int number, int index) {
     if (SCALES) {
         EACH(k, 3) {
@@ -27,9 +27,27 @@ DEVICE inline void exchange(Body* body, GLOBAL const double* constants, GLOBAL c
     }
 }
 
+// Exchange heat with body i, and record the momenta before and after the exchange. The kernels of `factors` sum the heat
+// of common factors.
+DEVICE inline void exchange(Body* body, int i, GLOBAL const double* constants, GLOBAL const double* numbers, GLOBAL const double* factors,
+        int flexible, mm_long key, mm_long step, int number, int index, GLOBAL double* exchanged, GLOBAL double* heat) {
+    double P[3], L[3], gain = 0.0;
+    EACH(k, 3) {
+        P[k] = body->P[k]; L[k] = body->L[k];
+    }
+    relax(body, constants, numbers, factors, flexible, key, step, number, index);
+    EACH(k, 3) {
+        gain += (body->P[k]-P[k])*(body->P[k]+P[k])*body->inverse_mass+(body->L[k]-L[k])*(body->L[k]+L[k])*body->inverse_inertia[k];
+        exchanged[k*BODIES+i] = P[k]; exchanged[(3+k)*BODIES+i] = L[k];
+        exchanged[(6+k)*BODIES+i] = body->P[k]; exchanged[(9+k)*BODIES+i] = body->L[k];
+    }
+    if (HEAT >= 0 && !SCALES)
+        heat[i] += 0.5*gain;
+}
+
 KERNEL void segment(CONTEXT, GLOBAL const component* force, TABLES, STATE, GLOBAL const int* index, GLOBAL double* last,
-        GLOBAL double* differences, GLOBAL double* here, GLOBAL const int* moves, GLOBAL const double* numbers,
-        GLOBAL const double* factors, int first, int count, int what, mm_long step, double key, double turns) {
+        GLOBAL double* differences, GLOBAL double* here, GLOBAL double* exchanged, GLOBAL double* heat, GLOBAL const int* moves,
+        GLOBAL const double* numbers, GLOBAL const double* factors, int first, int count, int what, mm_long step, double key, double turns) {
     SHARED
     FOR_BODIES {
         const Place at = place_of(i, kind, kinds);
@@ -94,7 +112,7 @@ KERNEL void segment(CONTEXT, GLOBAL const component* force, TABLES, STATE, GLOBA
                 }
                 break;
             case EXCHANGE:
-                exchange(&body, own, values, factors, index[BODIES+i], (mm_long) key, step+late, number, index[i]);
+                exchange(&body, i, own, values, factors, index[BODIES+i], (mm_long) key, step+late, number, index[i], exchanged, heat);
                 break;
             case REMEMBER: {
                 const int slot = (((mm_long) turns)*PER_STEP+number)%MEMORY;

@@ -2,8 +2,9 @@
 // did not change keep their state to the last bit.
 
 // Convert changes of velocities (CMMotionRemover, AndersenThermostat) to changes of momenta, and add them to this state
-// of the bodies, or to another state.
-KERNEL void pushed(CONTEXT, TABLES, STATE, GLOBAL number* P_to, GLOBAL number* L_to) {
+// of the bodies, or to another state. If all of them are by a CMMotionRemover (`removes`), add the kinetic energy that they
+// supply to the heat.
+KERNEL void pushed(CONTEXT, TABLES, STATE, GLOBAL number* P_to, GLOBAL number* L_to, GLOBAL double* heat, double removes) {
     SHARED
     FOR_BODIES {
         const Place at = place_of(i, kind, kinds);
@@ -30,10 +31,14 @@ KERNEL void pushed(CONTEXT, TABLES, STATE, GLOBAL number* P_to, GLOBAL number* L
         sum_over_lanes(sums, 6, shared);
         in_body(Q, body.inverse_inertia, sums+3, L);
         if (LANE == 0) {
+            double gain = 0.0;
             EACH(k, 3) {
+                gain += sums[k]*(2.0*body.P[k]+sums[k])*body.inverse_mass+L[k]*(2.0*body.L[k]+L[k])*body.inverse_inertia[k];
                 P_to[k*BODIES+i] += sums[k];
                 L_to[k*BODIES+i] += L[k];
             }
+            if (HEAT >= 0 && removes != 0.0)
+                heat[i] += 0.5*gain;
         }
     }
 }

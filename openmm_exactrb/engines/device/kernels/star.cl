@@ -75,6 +75,23 @@ DEVICE inline void invert(double w, const double* K, double* inverse) {
     inverse[5] = over*(a*d-b*b);
 }
 
+// Return the kinetic energy of velocities along the constraints of a star, which a projection removes: b.x/2 for A x = b.
+DEVICE inline double along_star(GLOBAL const double* v0, GLOBAL const double* v, const bool* holds, double w0, const double (*r)[HELD], const double* over,
+        const double* inverse) {
+    double told[4][HELD], s[4], g[3];
+    EACH_CONSTRAINT {
+        double b = 0.0;
+        EACH_AXIS
+            b -= holds[c] ? r[e][c]*(v0[e]-v[3*c+e]) : 0.0;
+        EACH_AXIS
+            told[e][c] = over[c]*b*r[e][c];
+        told[3][c] = over[c]*b*b;
+    }
+    team_sum(told, s, 4);
+    multiply(inverse, s, g);
+    return 0.5*(s[3]-w0*(s[0]*g[0]+s[1]*g[1]+s[2]*g[2]));
+}
+
 // Correct the changes of the momenta of a star, push0 and minus `push`, so that rounding does not change the kinetic
 // energy; see openmm_exactrb.kernels.compiled.clusters.
 DEVICE inline void keep_energy_of_star(double w0, const number* V0, double* push0, const double* w, const number (*V)[HELD], double (*push)[HELD],
@@ -113,9 +130,9 @@ DEVICE inline void keep_energy_of_star(double w0, const number* V0, double* push
 
 // Advance a cluster by t (ps) if it is a star. For t = 0, only project the velocities, which removes components along
 // constraints. The first atom has the index `at` in the block. A thread without a cluster is `idle`, but participates
-// in shuffles.
+// in shuffles. If a heat exchange at these positions `relaxes` velocities, its heat is corrected for the constraints.
 DEVICE inline void move_star(bool idle, double t, GLOBAL const int* cluster, int at, GLOBAL const double* inverse_masses, GLOBAL const double* lengths,
-        LOCAL_ARG number* xs, GLOBAL number* v) {
+        bool relaxes, GLOBAL const double* before, GLOBAL const double* after, GLOBAL double* heat, LOCAL_ARG number* xs, GLOBAL number* v) {
     const bool moves = !idle && cluster[GRAPH] < 0;
     if (!ANY(moves))
         return;
@@ -156,6 +173,14 @@ DEVICE inline void move_star(bool idle, double t, GLOBAL const int* cluster, int
         }
         team_sum(told, K, 6);
         invert(w0, K, inverse);
+        if (relaxes) {
+            const int outer = 3*(first+lane+1);
+            const double excess = along_star(after+3*first, after+outer, holds, w0, r[0], over, inverse)
+                -along_star(before+3*first, before+outer, holds, w0, r[0], over, inverse);
+            if (moves && lane == 0)
+                heat[first] -= excess;
+            relaxes = false;
+        }
         EACH_CONSTRAINT {
             b[c] = 0.0;
             EACH_AXIS

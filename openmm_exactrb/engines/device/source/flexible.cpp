@@ -10,7 +10,7 @@ const int ATOMS_OF_THREAD = 256;
 
 struct Flexible : Thread {
     int BLOCKS, HARMONICS, PLACES_OF_BLOCK, OWN_OF_BLOCK, PATCHES, GRAPHS, ALL_ATOMS, MEMORY, PER_STEP, DIFFERENCES, DIFFERENCES_PER_STEP;
-    int KEEPS_DIFFERENCES, GRADIENTS, SCALES;
+    int KEEPS_DIFFERENCES, GRADIENTS, SCALES, HEAT;
     int BONDS, ANGLES, TORSIONS, PAIRS, IMPROPERS, MAPS;
     int MEMBERS_OF_BONDS, MEMBERS_OF_ANGLES, MEMBERS_OF_TORSIONS, MEMBERS_OF_PAIRS, MEMBERS_OF_IMPROPERS, MEMBERS_OF_MAPS;
     int NUMBERS_OF_BONDS, NUMBERS_OF_ANGLES, NUMBERS_OF_TORSIONS, NUMBERS_OF_PAIRS, NUMBERS_OF_IMPROPERS, NUMBERS_OF_MAPS;
@@ -18,7 +18,7 @@ struct Flexible : Thread {
     explicit Flexible(const Constants& constants) {
 #define TAKE(name) name = integer(constants, #name);
         TAKE(BLOCKS) TAKE(HARMONICS) TAKE(PLACES_OF_BLOCK) TAKE(OWN_OF_BLOCK) TAKE(PATCHES) TAKE(GRAPHS)
-        TAKE(ALL_ATOMS) TAKE(MEMORY) TAKE(PER_STEP) TAKE(DIFFERENCES) TAKE(DIFFERENCES_PER_STEP) TAKE(KEEPS_DIFFERENCES) TAKE(GRADIENTS) TAKE(SCALES)
+        TAKE(ALL_ATOMS) TAKE(MEMORY) TAKE(PER_STEP) TAKE(DIFFERENCES) TAKE(DIFFERENCES_PER_STEP) TAKE(KEEPS_DIFFERENCES) TAKE(GRADIENTS) TAKE(SCALES) TAKE(HEAT)
 #define TAKE_KIND(name) TAKE(name) TAKE(MEMBERS_OF_##name) TAKE(NUMBERS_OF_##name)
         TAKE_KIND(BONDS) TAKE_KIND(ANGLES) TAKE_KIND(TORSIONS) TAKE_KIND(PAIRS) TAKE_KIND(IMPROPERS) TAKE_KIND(MAPS)
         STILL = exactrb::real(constants, "STILL"), LIGHT = exactrb::real(constants, "LIGHT");
@@ -41,7 +41,8 @@ struct Flexible : Thread {
     template <int RAYS> struct Star {
 #include "../kernels/star.cl"
     };
-    void move_star(bool idle, double t, const int* cluster, int at, const double* inverse_masses, const double* lengths, number* xs, number* v) {
+    void move_star(bool idle, double t, const int* cluster, int at, const double* inverse_masses, const double* lengths, bool relaxes, const double* before,
+            const double* after, double* heat, number* xs, number* v) {
         if (idle || cluster[GRAPH] >= 0)
             return;
         const int first = cluster[FIRST_ATOM];
@@ -51,16 +52,16 @@ struct Flexible : Thread {
                 xs[3*at+e] += t*v[3*first+e];
             break;
         case 2:
-            Star<1>().move_star(idle, t, cluster, at, inverse_masses, lengths, xs, v);
+            Star<1>().move_star(idle, t, cluster, at, inverse_masses, lengths, relaxes, before, after, heat, xs, v);
             break;
         case 3:
-            Star<2>().move_star(idle, t, cluster, at, inverse_masses, lengths, xs, v);
+            Star<2>().move_star(idle, t, cluster, at, inverse_masses, lengths, relaxes, before, after, heat, xs, v);
             break;
         case 4:
-            Star<3>().move_star(idle, t, cluster, at, inverse_masses, lengths, xs, v);
+            Star<3>().move_star(idle, t, cluster, at, inverse_masses, lengths, relaxes, before, after, heat, xs, v);
             break;
         default:
-            Star<4>().move_star(idle, t, cluster, at, inverse_masses, lengths, xs, v);
+            Star<4>().move_star(idle, t, cluster, at, inverse_masses, lengths, relaxes, before, after, heat, xs, v);
         }
     }
 #include "../kernels/graph.cl"

@@ -51,6 +51,7 @@ public:
     void report(bool shown, double* totals);
     void keep(int slot);
     void restore(int slot);
+    void storeNumbers();
     void upload(const string& name, const void* data, size_t bytes);
     void download(const string& name, void* data, size_t bytes);
     double& scalar(const string& name) {
@@ -115,6 +116,8 @@ private:
     vector<Source> sources;
     vector<Array> arrays;
     vector<Scalar> scalars;
+    int numbers = 0;                // index of the array of persistent numbers
+    vector<string> namesOfNumbers;  // global variables with the same values after each call
     vector<Kernel> kernels;
     std::map<string, vector<Operation> > sequences;
 
@@ -149,7 +152,7 @@ void ProgramIntegrator::setProgram(const string& text) {
     if (machine)
         machine->release();
     forget();
-    program.clear(), sources.clear(), arrays.clear(), scalars.clear(), kernels.clear(), sequences.clear();
+    program.clear(), sources.clear(), arrays.clear(), scalars.clear(), namesOfNumbers.clear(), kernels.clear(), sequences.clear();
     std::istringstream lines(text);
     string line, word, name;
     vector<Operation>* sequence = NULL;
@@ -168,6 +171,12 @@ void ProgramIntegrator::setProgram(const string& text) {
             Scalar s;
             words >> s.name >> s.value;
             scalars.push_back(s);
+        }
+        else if (word == "numbers") {
+            words >> name;
+            numbers = indexOf(arrays, name, "array");
+            while (words >> name)
+                namesOfNumbers.push_back(name);
         }
         else if (word == "source") {
             size_t bytes = 0;
@@ -466,7 +475,8 @@ void ProgramIntegrator::report(bool shown, double* totals) {
     download("totals", totals, 3*sizeof(double));
 }
 
-// Keep the state, perform steps, show the result if `shows` is true or the scheme is not processed, and report on it. The
+// Keep the state, perform steps, show the result if `shows` is true or the scheme is not processed, report on it, and store
+// the persistent numbers. The
 // fourth number of the result is `forceCalls`. "inner" is the fingerprint of the inner state, or 0 without one.
 void ProgramIntegrator::perform(int steps, bool shows, double* result) {
     keep(0);
@@ -484,6 +494,7 @@ void ProgramIntegrator::perform(int steps, bool shows, double* result) {
     }
     report(shows || !processed, result);
     result[3] = (double) forceCalls;
+    storeNumbers();
 }
 
 // Perform OpenMM's updates (barostats, thermostats, CMMotionRemover) for the last `calls` steps.
@@ -540,6 +551,19 @@ void ProgramIntegrator::restore(int slot) {
     updating = false;
     scalars = kept.scalars;
     placesStale = forcesStale = true;
+    storeNumbers();
+}
+
+// Copy the persistent numbers to the global variables, which other engines read from a checkpoint.
+void ProgramIntegrator::storeNumbers() {
+    if (namesOfNumbers.empty())
+        return;
+    const vector<char> values = present(numbers);
+    for (size_t i = 0; i < namesOfNumbers.size(); i++) {
+        double value;
+        memcpy(&value, values.data()+i*sizeof(double), sizeof(double));
+        setGlobalVariableByName(namesOfNumbers[i], value);
+    }
 }
 
 // Take the host's values of an array.

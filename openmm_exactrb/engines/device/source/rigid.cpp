@@ -11,12 +11,12 @@ namespace {
 const int BODIES_OF_THREAD = 256;
 
 template <int KNOWN> struct Rigid : Thread {
-    int BODIES, MEMORY, PER_STEP, DIFFERENCES, DIFFERENCES_PER_STEP, KEEPS_DIFFERENCES, GRADIENTS, SCALES;
+    int BODIES, MEMORY, PER_STEP, DIFFERENCES, DIFFERENCES_PER_STEP, KEEPS_DIFFERENCES, GRADIENTS, SCALES, HEAT;
     double STILL, LIGHT;
     explicit Rigid(const Constants& constants) {
 #define TAKE(name) name = integer(constants, #name);
         TAKE(BODIES) TAKE(MEMORY) TAKE(PER_STEP) TAKE(DIFFERENCES) TAKE(DIFFERENCES_PER_STEP) TAKE(KEEPS_DIFFERENCES)
-        TAKE(GRADIENTS) TAKE(SCALES)
+        TAKE(GRADIENTS) TAKE(SCALES) TAKE(HEAT)
         STILL = exactrb::real(constants, "STILL"), LIGHT = exactrb::real(constants, "LIGHT");
     }
 #define SITES (KNOWN > 0 ? KNOWN : row[2])
