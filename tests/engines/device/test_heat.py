@@ -11,6 +11,7 @@ from zoo import context_of, every_kind, pair, water
 
 import openmm_exactrb as rb
 from on_device import REFERENCE, device_platform
+from openmm_exactrb.openmm_access.platforms import DEVICES
 from peptides import in_water
 from starts import CPU
 from thermostatted import load, molecules, saved
@@ -119,7 +120,9 @@ def test_kernels_tell_what_the_host_tells(case, removes, platform):
     for steps in (1, 2, 8):
         for integrator in (host, kernels):
             integrator.step(steps)
-        np.testing.assert_allclose(told(kernels), told(host), rtol=1e-8, atol=1e-8)
+        # OpenMM's CMMotionRemover computes in single precision on a device: it leaves 1e-7 of the motion.
+        close = 1e-6 if removes and platform.getName() in DEVICES else 1e-8
+        np.testing.assert_allclose(told(kernels), told(host), rtol=close, atol=close)
     assert kernels.getEngine() == "device"
 
 
