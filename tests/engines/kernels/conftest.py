@@ -4,7 +4,7 @@ import sys
 import pytest
 from kernel_functions import Functions
 
-from openmm_exactrb.engines.compilation import CompilationError
+from openmm_exactrb.engines import compilation
 
 
 @pytest.fixture(scope="session")
@@ -14,6 +14,8 @@ def kernels(tmp_path_factory):
         pytest.skip("functions are exported by name on Windows")
     folder = tmp_path_factory.getbasetemp()
     try:
-        return Functions(folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder)
-    except CompilationError as error:
+        compilation.compiler()
+        compilation.openmm_folder()
+    except compilation.CompilationError as error:
         pytest.skip(f"needs a C++ compiler: {error}")
+    return Functions(folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder)

@@ -32,16 +32,17 @@ int forces(const char* kind, int terms, int atoms, int harmonics, double* x, con
     return broken;
 }
 
-// Advance clusters by a time, or only project the velocities for t = 0.
+// Advance clusters by a time, or only project the velocities for t = 0. If a heat exchange `relaxes` velocities from `before`
+// to `after`, subtract from the heat the part along the constraints.
 void move(int clusters, double t, const int* table, const int* graphs, const double* inverse, const double* lengths,
-        double* x, double* v) {
+        double* x, double* v, int relaxes, const double* before, const double* after, double* heat) {
     Flexible kernels{Constants()};
     for (int c = 0; c < clusters; c++) {
         const int *cluster = table+Flexible::CLUSTER_ROW*c, at = cluster[Flexible::FIRST_ATOM];
         if (cluster[Flexible::GRAPH] < 0)
-            kernels.move_star(false, t, cluster, at, inverse, lengths, numbers(x), numbers(v));
+            kernels.move_star(false, t, cluster, at, inverse, lengths, relaxes, before, after, heat, numbers(x), numbers(v));
         else
-            kernels.move_graph(t, cluster, at, graphs, inverse, lengths, NULL, numbers(x), numbers(v));
+            kernels.move_graph(t, cluster, at, graphs, inverse, lengths, NULL, relaxes, before, after, heat, numbers(x), numbers(v));
     }
 }
 

@@ -42,8 +42,15 @@ class Cluster:
     def moved(self, kernels, state, t):
         """Return positions and velocities in mpf after a time."""
         x, v = self.numbers(state)
-        kernels("move", len(self.tables[0]), t, *self.tables, x, v)
+        kernels("move", len(self.tables[0]), t, *self.tables, x, v, 0, *np.zeros((3, 1)))
         return self.exact((x, v))
+
+    def heat_along_constraints(self, kernels, x, before, after, t):
+        """Return what a motion over a time subtracts from the heat (n,) of an exchange at its start."""
+        at, v = self.numbers((x, after))
+        heat, exchanged = np.zeros(len(v)), [self.numbers((x, w))[1][..., 0].copy() for w in (before, after)]
+        kernels("move", len(self.tables[0]), t, *self.tables, at, v, 1, *exchanged, heat)
+        return -heat.sum()
 
     def kept(self, state):
         """Return energy, momentum and angular momentum, whose errors are relative to m v and m v nm."""
@@ -152,6 +159,25 @@ def test_a_projection_takes_the_velocities_along_constraints_away(kernels, clust
         assert largest(places, cluster.exact(cluster.numbers((x, v)))[0]) == 0.0
         speed = float(max(abs(c) for row in kicked for c in row))
         assert largest(found, expected) < 4.0 * U * speed
+
+
+@pytest.mark.parametrize("t", [0.0, 0.002])
+def test_heat_is_that_of_projected_velocities(kernels, cluster, t):
+    """An exchange may follow a kick, so that its velocities have parts along the constraints before it, too."""
+    x, v = cluster.start
+    noise = np.random.default_rng(3).standard_normal((2, *np.shape(v)))
+    with mp.workdps(40):
+        before, after = (
+            [[c + mp.mpf(d) for c, d in zip(*rows, strict=True)] for rows in zip(v, w.tolist(), strict=True)]
+            for w in noise
+        )
+        along = []
+        for w in (before, after):
+            projected = geodesics.put_on(cluster.masses, cluster.pairs, cluster.lengths, x, w)[1]
+            along.append(geodesics.energy(cluster.masses, w) - geodesics.energy(cluster.masses, projected))
+        found = cluster.heat_along_constraints(kernels, x, before, after, t)
+        assert float(abs(along[1] - along[0])) > 0.01 * float(along[0])
+        assert abs(found - (along[1] - along[0])) < 64.0 * U * max(along)
 
 
 @pytest.mark.parametrize("name", ["XH3", "chain"])
