@@ -35,7 +35,7 @@ def at_exchange(settings: Settings, served: Served, fast: FastForces | None, syn
 
 
 def around_exchange(sync: Synchronisation, device: Device, parts: Sequence[Part]) -> tuple[State, State]:
-    """Return the states before and after the last heat exchange, but for the positions and orientations of rigid bodies."""
+    """Return the states before and after the last heat exchange; positions and orientations may be later ones."""
     before, after = (State(*(a.copy() for a in sync.state)) for _ in range(2))
     for part in parts:
         part.read_exchange(device, (before, after))
