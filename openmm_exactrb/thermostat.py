@@ -54,6 +54,8 @@ class Thermostat(ABC):
         Name of the persistent variable that accumulates the energy supplied to the bodies.
     factors : Factors, optional
         The device kernel that computes the factors, if an exchange multiplies momenta by factors.
+    diverged : str
+        The message if these factors are not finite.
     flows : tuple of str
         Names of the methods that define the exchange on the host. A class that overrides one of them does not inherit
         `kernel_exchange`.
@@ -66,6 +68,7 @@ class Thermostat(ABC):
     numbers: ClassVar[tuple[str, ...]] = ()
     heat: ClassVar[str | None] = None
     factors: Factors | None = None
+    diverged: str = "the thermostat diverged within a step"
     flows: ClassVar[tuple[str, ...]] = ("bind", "flow")
     scheme: ClassVar[str] = "BAOA"
 

@@ -92,6 +92,9 @@ class Selection:
                 return engine
         for engine in ENGINES.values():
             if mark in engine.marks(settings):
+                if self.asked == AUTO:  # only the shown state can be continued
+                    variables.mark(integrator, variables.NOTHING)
+                    return None
                 raise ValueError(variables.OTHER_ENGINE.format(engine.name))
         raise ValueError(variables.OTHER_FORMAT)
 

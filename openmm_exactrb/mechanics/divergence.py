@@ -22,8 +22,8 @@ GROWN = 1.5
 # A run has diverged if the total energy rises by more than this fraction of the kinetic energy before or after the
 # step, whichever is larger. A long step may remove most of the kinetic energy of a vibration.
 _GAINED = 0.5
-# Largest mean kinetic energy of bonded bodies in kJ/mol. A fifth of this energy breaks a bond.
-_HOTTEST = 2500.0
+#: Largest mean kinetic energy of bonded bodies in kJ/mol. A fifth of this energy breaks a bond.
+HOTTEST = 2500.0
 # BLAS distributes sums of more than this many numbers over threads, which costs milliseconds on a busy processor.
 _FEW = 10_000
 # Relative rounding error of energies in single precision, and the energy in kJ/mol per body below which a rise is
@@ -67,7 +67,7 @@ class DivergenceCheck:
         self._bodies, self._potential, self._box, self._conserves = bodies, potential, box, conserves
         self._fastest = float(np.min(LIGHT * bodies.mass, initial=np.inf)) ** 2  # if P² is smaller, no body is too fast
         #: Mean kinetic energy of bodies within inner steps, in kJ/mol, above which a step has diverged.
-        self.hottest = _HOTTEST if conserves else np.inf
+        self.hottest = HOTTEST if conserves else np.inf
         self._good = 0.0, 0.0  # squares of linear and angular momenta
         self._number, self._time = 0, 0.0
         self._before: State | None = None  # the state before the step
@@ -188,9 +188,10 @@ def gained(n_bodies: int, then: tuple[float, float], now: tuple[float, float]) -
 
 def lost(bodies: RigidBodies, state: BodyState) -> NDArray[np.bool_]:
     """Return a mask (N,) of bodies that are faster than light or have non-finite squares of coordinates or momenta."""
-    which = np.asarray(~np.isfinite((state.R * state.R).sum(axis=0)))
-    which |= ~((state.P * state.P).sum(axis=0) <= (LIGHT * bodies.mass) ** 2)  # also true for nan
-    which[: bodies.n_turning] |= ~np.isfinite((state.q * state.q).sum(axis=0) + (state.m * state.m).sum(axis=0))
+    with np.errstate(all="ignore"):
+        which = np.asarray(~np.isfinite((state.R * state.R).sum(axis=0)))
+        which |= ~((state.P * state.P).sum(axis=0) <= (LIGHT * bodies.mass) ** 2)  # also true for nan
+        which[: bodies.n_turning] |= ~np.isfinite((state.q * state.q).sum(axis=0) + (state.m * state.m).sum(axis=0))
     return which
 
 

@@ -113,6 +113,14 @@ class NoseHooverChain(Thermostat):
         sizes = ("CHAIN", self.chainLength), ("REPETITIONS", self.numMTS), ("N_WEIGHTS", len(weights))
         return Factors("nose_hoover", (*sizes, ("WEIGHTS", ", ".join(map(repr, weights)))))
 
+    @property
+    def diverged(self) -> str:  # type: ignore[override]
+        """The message about a chain that diverged, with the remedies."""
+        return (
+            "a Nosé-Hoover chain diverged within a step: use a smaller step size, a lower collisionFrequency than "
+            f"{self.collisionFrequency:g}/ps, or a larger numMTS"
+        )
+
     def kernel_exchange(self, tau: float, freedom: tuple[int, int]) -> tuple[float, ...]:
         """Return kT, the frequency, the degrees of freedom, and whether all momenta share one chain."""
         return self._kT, self.collisionFrequency, *map(float, freedom), float(self.together)
@@ -146,10 +154,7 @@ class NoseHooverChain(Thermostat):
         except OverflowError:
             scale, moved = math.inf, chain
         if not (math.isfinite(scale) and np.isfinite(moved).all()):
-            raise IntegrationError(
-                "a Nosé-Hoover chain diverged within a step: use a smaller step size, a lower collisionFrequency "
-                f"than {self.collisionFrequency:g}/ps, or a larger numMTS. The Context keeps the state before this step"
-            )
+            raise IntegrationError(f"{self.diverged}. The Context keeps the state before this step")
         return scale, moved
 
     def _pushed(self, chain: list[list[float]], kinetic: float, freedom: int, tau: float) -> tuple[float, Array]:

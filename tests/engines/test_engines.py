@@ -50,6 +50,7 @@ def own(monkeypatch):
         return settings.h < 0.005, "its steps are short"
 
     engine = replace(HOST, name="own", unsupported=unsupported, unsupported_in=unsupported_in, advice=advice)
+    monkeypatch.setitem(ENGINES, "device", replace(ENGINES["device"], advice=lambda *_: (False, "not here")))
     monkeypatch.setitem(ENGINES, "own", engine)
     return asked
 

@@ -195,7 +195,7 @@ def test_copies_keep_constraints(name, duplicate):
 def test_the_identity_of_a_run_contains_them():
     texts = []
     for constraints in ((), [on_a_plane]):
-        integrator = rb.ExactRigidBodyIntegrator(0.001, constraints=constraints)
+        integrator = rb.ExactRigidBodyIntegrator(0.001, engine="host", constraints=constraints)
         texts.append(identity_of(starts.simulation_of(*WATERS[:2], integrator, WATERS[2])))
     assert {name for name in texts[0] if texts[0][name] != texts[1][name]} == {"integrator constraints"}
 

@@ -171,7 +171,7 @@ def test_hundreds_of_integrators_leave_nothing():
 def nested_and_dropped():
     """Return weak references to a Context and an integrator with inner steps that were used and dropped."""
     _, system, x = peptide()
-    integrator = rb.ExactRigidBodyIntegrator(0.002, "S2_2", fast="bonded")
+    integrator = rb.ExactRigidBodyIntegrator(0.002, "S2_2", fast="bonded", engine="host")
     context = starts.context_of(system, integrator, x)
     integrator.step(1)
     inner = [found for found in gc.get_objects() if isinstance(found, ExcerptPositions)]

@@ -60,8 +60,8 @@ def test_what_was_fitted_to_rigid_molecules_is_not_shown_of_flexible_ones(by):
 
 def test_nesting_bonded_forces_evaluates_the_others_as_often_as_before():
     _, system, x = peptide()
-    plain, _one = moving(system, x)
-    nested, _other = moving(system, x, fast="bonded")
+    plain, _one = moving(system, x, engine="host")
+    nested, _other = moving(system, x, fast="bonded", engine="host")
     for integrator in (plain, nested):
         integrator.timings.reset()
         integrator.step(10)

@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -232,6 +233,7 @@ def test_names_are_in_the_files_that_the_page_gives():
 
 
 def test_an_engine_is_one_record(monkeypatch):
+    monkeypatch.setitem(ENGINES, "device", replace(ENGINES["device"], advice=lambda *_: (False, "not here")))
     monkeypatch.setitem(ENGINES, "small", ENGINES["host"])  # what the recipe puts there goes with it
     integrator = typed("An engine")["integrator"]
     _context = moving(integrator)

@@ -14,7 +14,7 @@ WITH_OUTPUT = [name for name, scheme in rb.SCHEMES.items() if scheme.output]
 
 def looked_at(scheme, h=0.02, looks=60):
     """Return total energies of a droplet at each step behind the tenth, the inner state, and the evaluations a step."""
-    integrator = rb.ExactRigidBodyIntegrator(h, scheme=scheme)
+    integrator = rb.ExactRigidBodyIntegrator(h, scheme=scheme, engine="host")
     _simulation = droplet_of(integrator)
     integrator.step(10)
     integrator.timings.reset()

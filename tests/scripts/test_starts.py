@@ -259,7 +259,9 @@ def test_blow_ups_stop_in_the_first_bad_step_and_name_it(size):
     droplet = app.ForceField("tip3p.xml").createSystem(topology, removeCMMotion=False)
     simulation = simulation_of(topology, droplet, positions, rb.ExactRigidBodyIntegrator(size, scheme="V2"))
     before = coordinates(simulation)
-    with pytest.raises(rb.IntegrationError, match=r"step 1,.* kinetic energy rose from"):
+    with pytest.raises(
+        rb.IntegrationError, match=r"step 1,.* (kinetic energy rose from|speeds exceeded the speed of light)"
+    ):
         simulation.step(100)
     np.testing.assert_allclose(coordinates(simulation), before, atol=1e-4)
 

@@ -60,8 +60,8 @@ def started(integrator, system, x, seed=4):
 @pytest.mark.parametrize("kind", ["Langevin", "hybrid"])
 def test_a_thermostat_that_does_nothing_leaves_the_trajectory_with_inner_steps_bit_for_bit(kind, scheme):
     _, system, x = peptide()
-    alone, _context = moving(system, x, 0.001, scheme, fast="bonded")
-    integrator = THERMOSTATTED[kind](0.001, scheme=scheme, fast="bonded")
+    alone, _context = moving(system, x, 0.001, scheme, fast="bonded", engine="host")
+    integrator = THERMOSTATTED[kind](0.001, scheme=scheme, fast="bonded", engine="host")
     _other = started(integrator, system, x)
     for moved in (alone, integrator):
         moved.timings.reset()

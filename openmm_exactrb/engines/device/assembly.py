@@ -81,7 +81,7 @@ class Assembly:
         others = np.concatenate([np.zeros(0, int), *(part.bodies for part in molecules)])
         self.parts: list[RigidPart | FlexiblePart] = [*molecules, *parts_of(bodies, demands, others)]
         self.program = to = Program()
-        to.scalars |= {"turn": 0.0, "key": 0.0, "removes": 0.0, "enough": self._enough}
+        to.scalars |= {"turn": 0.0, "key": 0.0, "hottest": 0.0, "removes": 0.0, "enough": self._enough}
         to.array("factors", 2)
         to.array("totals", 3)
         numbers = () if thermostat is None else thermostat.persistent

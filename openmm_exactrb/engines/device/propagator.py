@@ -22,7 +22,7 @@ from openmm_exactrb.engines.device.reports import DivergedError, judged, kinetic
 from openmm_exactrb.engines.device.state import FORCES, DeviceState
 from openmm_exactrb.engines.library import Device, library
 from openmm_exactrb.errors import IntegrationError, NonFiniteError
-from openmm_exactrb.mechanics.divergence import GROWN, gained, non_finite, of_step
+from openmm_exactrb.mechanics.divergence import GROWN, HOTTEST, gained, non_finite, of_step
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.multiple_time_steps.fast_forces import FastForces
 from openmm_exactrb.multiple_time_steps.found import Found
@@ -74,7 +74,8 @@ class DevicePropagator:
         self._kept = True  # `_shown` before the present steps
         self._sent: dict[str, float] = {}
         self._evaluations = self.device.evaluations
-        self._portion = _FEWEST
+        # Forces from outside may raise errors, after which the Context contains the last complete step.
+        self._portion, self._most = (_FEWEST, _MOST) if self._conserves else (1, 1)
         self._largest = 0.0  # the largest kinetic energy (kJ/mol) that was accepted
         self._reference: Energies | None = None  # the energies when it was accepted
         self._load()
@@ -101,11 +102,13 @@ class DevicePropagator:
         """
         self.sync.pull()
         state = at_exchange(settings(), self._served, self._fast, self.sync)
+        self.device.keep(_AFTER)
         try:
             forces = ContextForces(self.sync.positions, settings().groups, self._timings)
             return float(sum(self.sync.bodies.kinetic_energies(state.rounded)) + forces.energy_at(state))
         finally:
-            self.sync.push()
+            self.device.restore(_AFTER)  # to the bit, unlike positions that are computed again
+            self.sync.restored()
 
     # -- the program ---------------------------------------------------------------------------------------------------
 
@@ -160,6 +163,7 @@ class DevicePropagator:
         self._warn_of_resonances()
         self._overheating = monitor(self._settings, self.sync.bodies, self._assembly.parts) if self._conserves else None
         self.device["settings"] = settings.identity
+        self.device["hottest"] = HOTTEST if self._judged else 1e300
         moves, numbers = self._assembly.table.values(settings.h, self._exchange)
         self.device.upload("moves", moves)
         self.device.upload("numbers", numbers)
@@ -227,9 +231,10 @@ class DevicePropagator:
         if changed:
             self._sent = {}
         self._send(key)
+        if changed or self._settings.own_numbers:  # which a user may set without a change of the Context
+            self._send_numbers()
         if changed:
             self._largest, self._reference = self._report()[0], None
-            self._send_numbers()
             if self._overheating is not None:
                 self._overheating.begin(self.sync.context.getTime()._value)
         while n > 0:
@@ -237,7 +242,7 @@ class DevicePropagator:
             start = time.perf_counter()
             self._perform(count, shows=count == n)
             if time.perf_counter() - start < _SECONDS:
-                self._portion = min(2 * self._portion, _MOST)
+                self._portion = min(2 * self._portion, self._most)
             n -= count
         if self._overheating is not None:
             now = self.sync.context.getTime()._value
@@ -317,9 +322,11 @@ class DevicePropagator:
             slow = evaluations - self._evaluations - n * self._assembly.evaluated - around
             self._evaluations = evaluations
             self._timings.evaluations += slow + trials
-            self._timings.fast_evaluations += n * self._assembly.fast_evaluations + around
             self.sync.moved_on()
-        return judged(*report)
+        kinetic, bad = judged(*report)
+        if not bad:
+            self._timings.fast_evaluations += n * self._assembly.fast_evaluations + around
+        return kinetic, bad
 
     def _report(self) -> tuple[float, bool]:
         """Return the kinetic energy (kJ/mol), and whether the state of any body is invalid."""
@@ -328,6 +335,8 @@ class DevicePropagator:
     def _refuse(self) -> None:
         """Raise DivergedError with the names of the invalid bodies, or the cause of energies that are nan."""
         self.updates.check_box(self.sync.context)
+        if not np.isfinite(self.device.download("factors", np.empty(2))).all():  # zero if the thermostat has none
+            raise DivergedError(IntegrationError, self._settings.thermostat.diverged)
         state = self.sync.on_device(self._shown)
         what = non_finite(self.sync.bodies, state) or "positions or forces became non-finite"
         raise DivergedError(NonFiniteError, what)

@@ -20,7 +20,7 @@ from openmm_exactrb.moves import Op, of_substep
 from openmm_exactrb.openmm_access import platforms
 from openmm_exactrb.rotors import ROTORS
 from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.substeps import Drift, Substep
+from openmm_exactrb.substeps import Drift, HeatExchange, Substep
 from openmm_exactrb.support.descriptions import mismatch
 
 _ROTORS = ("exact", "exact_numpy", "exact_compiled")
@@ -42,6 +42,8 @@ def _unsupported(settings: Settings) -> str | None:
     if rotor not in map(ROTORS.get, _ROTORS):
         own = "" if ROTORS.get(rotor.name) is rotor else "your own rotor "
         return f"the device supports only the exact rotor, not {own}{rotor.name}"
+    if thermostat is None and any(isinstance(substep, HeatExchange) for substep, _ in scheme.rows):
+        return f"scheme {scheme.name} contains a thermostat, but the integrator has none"
     try:
         for row in scheme.rows:
             of_substep(*row)
@@ -107,6 +109,8 @@ def _with_text(scheme: Scheme) -> Substep | None:
 
 def _advice(context: Any, settings: Settings) -> tuple[bool, str]:
     name = context.getPlatform().getName()
+    if name in platforms.PROCESSORS:
+        return True, f"kernels of the library perform the steps on the platform {name}"
     if why := platforms.no_gpu(context):
         return False, why
     return True, f"{name} computes on a GPU"

@@ -120,6 +120,11 @@ class DeviceState(Synchronisation):
         self._upload()
         self._device.changes(clear=SET | LOADED)
 
+    def restored(self) -> None:
+        """Record that the device has restored the state that the Context contained before other positions."""
+        self.positions.moved()
+        self._device.changes(clear=SET)
+
     def renew(self) -> None:
         """Write the state to the arrays of a new program, without inner coordinates."""
         self.inner = None

@@ -39,7 +39,7 @@ class Kicks:
             Program(),
         )
         program.sequence("kick", self.part.launches(Segment((Move(Op.FAST_KICK, 1.0),), shows=True), table))
-        program.scalars |= {"turn": 0.0, "key": 0.0}
+        program.scalars |= {"turn": 0.0, "key": 0.0, "hottest": 1e300}
         self.part.declare(program)
         program.array("factors", 2)
         table.declare(program, 0)

@@ -149,7 +149,7 @@ class FlexiblePart:
             *_CONTEXT,
             *state,
             *self._named(*_FORCES, *_ATOMS, *_TABLES),
-            *(Table.MOVES, Table.NUMBERS, "factors", *rows, what, "#step", "$key", "$turn"),
+            *(Table.MOVES, Table.NUMBERS, "factors", *rows, what, "#step", "$key", "$turn", "$hottest"),
         )
         return Launch(self._source, "inner_steps", THREADS * len(self.blocks), arguments, THREADS)
 

@@ -14,6 +14,8 @@
 // projects onto the constraints. `here` contains the slow accelerations before the displacement, and `push` the velocities
 // of the displacement and then the projected accelerations. `seen` contains the projected velocities, which are shown.
 //
+// If the mean kinetic energy of the atoms of a block exceeds `hottest`, the step has diverged, and the state becomes nan.
+//
 // Heat is the change of the kinetic energy of projected velocities. A heat exchange adds the change for free atoms. The next
 // motion of a cluster starts with a projection at the same positions, and subtracts the part along the constraints, for
 // successive exchanges at once.
@@ -112,7 +114,7 @@ KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL
         GLOBAL const int* atoms, GLOBAL const int* bodies, GLOBAL const double* inverse, GLOBAL const int* blocks, GLOBAL const int* block_atoms,
         GLOBAL const int* clusters, GLOBAL const double* lengths, GLOBAL const int* graphs, GLOBAL double* room, GLOBAL const int* members,
         GLOBAL const fine* constants, GLOBAL const double* exact, GLOBAL const int* moves, GLOBAL const double* numbers, GLOBAL const double* factors,
-        int first_move, int count, int what, mm_long step, double key, double turns) {
+        int first_move, int count, int what, mm_long step, double key, double turns, double hottest) {
     LOCAL_ARRAY(number, xs, 3*PLACES_OF_BLOCK);
     LOCAL_ARRAY(term_sum, sums, 3*OWN_OF_BLOCK);
     LOCAL int broken;
@@ -152,6 +154,8 @@ KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL
                 const int atom = first_atom+i;
                 move_atom(atom, begin, stop+by_force, moves, numbers, xs+3*i, sums+3*i, force, places[atoms[atom]].x, bodies[atom], bodies[ALL_ATOMS+atom], inverse[atom], factors, (mm_long) key,
                     step, (mm_long) turns, memory, differences, here, push, exchanged, heat, v);
+                if (!(v[3*atom]*v[3*atom]+v[3*atom+1]*v[3*atom+1]+v[3*atom+2]*v[3*atom+2] <= 2.0*hottest*own*inverse[atom]))
+                    broken = 1;  // also for nan
             }
             SYNC_THREADS
             // After the last drift, velocities need a projection only if they are read (PROJECTS), or for the heat. The projected
@@ -179,6 +183,10 @@ KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL
                 for (int i = LOCAL_ID; i < own; i += LOCAL_SIZE)
                     v[3*(first_atom+i)] = seen[3*(first_atom+i)] = xs[3*i] = NOT_A_NUMBER;
             SYNC_THREADS
+            if (broken) {  // a step that is far too long has thousands of inner steps
+                stop = end;
+                break;
+            }
             if (GRADIENTS && op == DISPLACED_KICK)
                 for (int i = 3*first_atom+LOCAL_ID; i < 3*(first_atom+own); i += LOCAL_SIZE) {
                     v[i] += TAU(stop)*push[i];
