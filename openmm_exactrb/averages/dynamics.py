@@ -145,8 +145,7 @@ def _of_this_package(simulation: Any, frictions: tuple[float, ...]) -> Dynamics:
     integrator, context = simulation.integrator, simulation.context
     thermostat, step = integrator.getThermostat(), integrator.getStepSize()._value
     bodies = integrator.bodyState()[0]
-    x = arrays.positions(context.getState(positions=True))
-    masses = virtual_sites.masses(simulation.system, x)
+    masses = virtual_sites.masses(simulation.system, lambda: arrays.positions(context.getState(positions=True)))
     fast = fast_forces(simulation.system, bodies, integrator.getMultipleTimeSteps(), masses)
     if fast is not None and not fast.acts(integrator.getScheme(), step):
         fast = None

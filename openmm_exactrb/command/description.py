@@ -90,7 +90,8 @@ def _found(system: openmm.System, positions: unit.Quantity | None) -> tuple[Rigi
             f"constrained bonds are stretched by up to {corrected:.2g} nm, which exactrb run corrects before its "
             "minimisation: in a script, call context.applyConstraints(1e-6) after setPositions",
         )
-    return bodies, virtual_sites.masses(system, arrays.positions(context.getState(positions=True))), notes
+    masses = virtual_sites.masses(system, lambda: arrays.positions(context.getState(positions=True)))
+    return bodies, masses, notes
 
 
 class _Names:

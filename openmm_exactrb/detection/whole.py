@@ -24,6 +24,7 @@ from openmm_exactrb.mechanics.images import (
     lattice,
 )
 from openmm_exactrb.mechanics.links import Links
+from openmm_exactrb.mechanics.shortest_links import connected_within
 from openmm_exactrb.openmm_access import parameters
 from openmm_exactrb.openmm_access.parameters import Rows
 from openmm_exactrb.support import checks
@@ -169,7 +170,12 @@ class _Gaps:
 
     def __init__(self, X: Array, box: Array) -> None:
         self._X, self._box = X, box
-        self._wide = np.ptp(X @ np.linalg.inv(box), axis=1).max(axis=1) > 0.5  # other bodies are not split
+        inverse = np.linalg.inv(box)
+        extents = np.ptp(X @ inverse, axis=1)
+        # Other bodies are not split: images are farther from each other than the particles of a body.
+        self._wide = np.asarray(extents.max(axis=1) > 0.5)
+        images = ((1.0 - extents[self._wide]) / np.linalg.norm(inverse, axis=0)).min(axis=1)
+        self._wide[self._wide] = ~connected_within(X[self._wide], _SHORTER * images)
 
     def given(self, within: float = np.inf) -> Array:
         """Return the gaps (n, k - 1) in the minimum spanning trees of the bodies; see `image_gaps`."""
@@ -218,7 +224,7 @@ def _by_common_shape(X: Array, box: Array) -> tuple[Array, NDArray[np.bool_]]:
         return X, ~gaps.torn if np.ptp(relative, axis=0).max() <= RIGIDITY else confirmed
     near, torn = gaps.near, gaps.torn
     clear = _CLEAR * half_width(box)
-    if not torn.any() and (gaps.given(clear) <= clear).all():
+    if not torn.any() and (connected_within(X, np.full(len(X), clear)).all() or (gaps.given(clear) <= clear).all()):
         return X, confirmed
     apart = (relative - relative[0]) @ np.linalg.inv(box)
     if np.abs(apart - np.round(apart)).max() <= RIGIDITY / half_width(box):  # all have the same orientation

@@ -29,6 +29,8 @@ _SPARSE = 64
 _LEAST = 1e-9
 # Number of particles from which the usual distance is determined.
 _SAMPLE = 1000
+# Largest number of cells along an edge in which particles are sorted.
+_CELLS = 2**14
 
 
 class Found(NamedTuple):
@@ -57,6 +59,34 @@ def shortest_links(X: Array, box: Array | None = None, within: float = np.inf) -
     pairs, lengths, shifts = map(np.concatenate, zip(*found, strict=True))
     links = Links(pairs, lengths, n * k)
     return links, shifts[links.chosen]
+
+
+def connected_within(X: Array, within: Array) -> NDArray[np.bool_]:
+    """Return a mask of bodies (n, k, 3) that links of at most given lengths (n,) certainly connect.
+
+    Particles in the same cell or in adjacent cells have such links. The time is proportional to the number of
+    particles. Bodies whose gaps are hardly shorter than these lengths may be missed.
+    """
+    edges, extents = within / math.sqrt(12.0), np.ptp(X, axis=1)
+    found = np.asarray(edges * _CELLS > extents.max(axis=1))
+    if not found.any():
+        return found
+    X, edges, extents = X[found], edges[found], extents[found]
+    cells = (np.floor((X - X.min(axis=1, keepdims=True)) / edges[:, None, None]) + 1.0).astype(np.int64)
+    counts = cells.max(axis=(0, 1)) + 2  # with empty cells around all others
+    strides = np.array([counts[1] * counts[2], counts[2], 1])
+    body = counts.prod() * np.arange(len(X))
+    occupied = np.unique(body[:, None] + cells @ strides)
+    pairs = []
+    for step in (np.array(list(np.ndindex(3, 3, 3))) - 1)[14:] @ strides:  # half of the adjacent cells
+        place = np.minimum(np.searchsorted(occupied, occupied + step), len(occupied) - 1)
+        adjacent = np.flatnonzero(occupied[place] == occupied + step)
+        pairs.append(np.column_stack([adjacent, place[adjacent]]))
+    label = connected(np.concatenate(pairs), len(occupied))
+    first = np.searchsorted(occupied, body)
+    of = np.searchsorted(body, occupied, side="right") - 1
+    found[found] = np.bincount(of, label != label[first][of]) == 0
+    return found
 
 
 def _reaches(X: Array, box: Array | None, within: float) -> Iterator[float]:

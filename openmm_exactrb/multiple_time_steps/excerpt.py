@@ -16,7 +16,13 @@ from numpy.typing import NDArray
 
 from openmm_exactrb.mechanics.bodies import Part, RigidBodies
 from openmm_exactrb.multiple_time_steps.bonded import BONDED_FORCES, Bonded, interacting_exceptions
-from openmm_exactrb.multiple_time_steps.virtual_sites import add_particles, owners, with_bonded_terms, with_parents
+from openmm_exactrb.multiple_time_steps.virtual_sites import (
+    add_particles,
+    are_sites,
+    owners,
+    with_bonded_terms,
+    with_parents,
+)
 from openmm_exactrb.openmm_access import parameters
 from openmm_exactrb.support.types import Indices
 
@@ -51,12 +57,9 @@ class Excerpt:
     @cached_property
     def on_sites(self) -> Sequence[Bonded]:
         """The forces on virtual sites, for which there are no kernels."""
-        found = [(force, np.asarray(self._is_site[force.particles].any(axis=1))) for force in self.forces]
+        sites = are_sites(self.whole)
+        found = [(force, np.asarray(sites[force.particles].any(axis=1))) for force in self.forces]
         return [force.chosen(which) for force, which in found if which.any()]
-
-    @cached_property
-    def _is_site(self) -> NDArray[np.bool_]:
-        return _sites(self.whole)
 
     @cached_property
     def numbered(self) -> Sequence[Bonded]:
@@ -94,9 +97,9 @@ def bonded_excerpt(
     sites are excluded, as are bonded terms of sites of unsupported types and, unless `sites`, of all virtual sites. The
     function returns None if there are no such bonded forces.
     """
-    owner, of_sites = owners(system, bodies.owner), _sites(system)
+    owner, of_sites = owners(system, bodies.owner), are_sites(system)
     excluded = of_sites.copy()
-    excluded[with_bonded_terms(system)[0] if sites else []] = False
+    excluded[with_bonded_terms(system) if sites else []] = False
     own = [force for force in system.getForces() if isinstance(force, BONDED_FORCES)]
     bonded = [Bonded.of(force) for force in own if groups is None or force.getForceGroup() in groups]
     forces = _acting(bonded, owner, excluded)
@@ -105,14 +108,9 @@ def bonded_excerpt(
     every = [force for force in system.getForces() if groups is None and isinstance(force, openmm.NonbondedForce)]
     forces += _acting(map(interacting_exceptions, every), owner, of_sites)
     named = np.flatnonzero(np.bincount(np.concatenate([force.particles.ravel() for force in forces])))
-    touched = np.array(with_parents(system, named.tolist()), dtype=np.intp)
+    touched = np.union1d(named, np.array(with_parents(system, named[of_sites[named]].tolist()), dtype=np.intp))
     members = np.flatnonzero(np.append(bodies.touched(touched), False)[bodies.owner])  # -1: no body
     return Excerpt(system, forces, np.union1d(members, touched), bodies)
-
-
-def _sites(system: openmm.System) -> NDArray[np.bool_]:
-    """Return a mask (n_particles,) of the virtual sites."""
-    return np.array([*map(system.isVirtualSite, range(system.getNumParticles()))], dtype=bool)
 
 
 def _acting(forces: Any, owner: Indices, excluded: NDArray[np.bool_]) -> list[Bonded]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from typing import Any, NamedTuple
 
 import openmm
@@ -62,12 +63,12 @@ def found(context: Any, named: Sequence[Sequence[int]] | None, settings: Multipl
     system, x = context.getSystem(), arrays.positions(context.getState(positions=True))
     box = arrays.periodic_box(context)
     whole = find_bodies(system, x, named, box)
-    joined = x if box is None else Shapes(whole).whole(x, box)
+    joined = cache(lambda: x if box is None else Shapes(whole).whole(x, box))
     masses = virtual_sites.masses(system, joined)
     fast = fast_forces(system, whole, settings, masses)
     if not len(whole.clusters) and fast is None:
         return Found(whole, whole, None, masses)
-    bodies = find_bodies(system, joined, named, pairs=True)
+    bodies = find_bodies(system, joined(), named, pairs=True)
     return Found(bodies, whole, _among(bodies, fast), masses)
 
 

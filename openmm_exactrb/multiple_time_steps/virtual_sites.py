@@ -6,11 +6,12 @@ too.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
 import openmm
+from numpy.typing import NDArray
 
 from openmm_exactrb.multiple_time_steps.bonded import BONDED_FORCES, Bonded
 from openmm_exactrb.openmm_access import arrays, parameters
@@ -28,16 +29,25 @@ _NUMBERS: dict[type[Any], Any] = {
 }
 
 
-def with_bonded_terms(system: openmm.System) -> tuple[list[int], list[int]]:
-    """Return the virtual sites with bonded terms, first those of the types that this module supports, then others."""
+def are_sites(system: openmm.System) -> NDArray[np.bool_]:
+    """Return a mask (n_particles,) of the virtual sites."""
+    found = np.asarray(parameters.masses(system) == 0.0)
+    found[found] = [system.isVirtualSite(i) for i in np.flatnonzero(found).tolist()]
+    return found
+
+
+def with_bonded_terms(system: openmm.System) -> list[int]:
+    """Return the virtual sites with bonded terms that are, like those on which they depend, of supported types."""
+    sites = are_sites(system)
+    if not sites.any():
+        return []
     terms = [Bonded.of(force).particles for force in system.getForces() if isinstance(force, BONDED_FORCES)]
-    particles = np.unique(np.concatenate([np.zeros(0, dtype=np.intp), *(of.ravel() for of in terms)])).tolist()
-    known: dict[int, bool] = {
-        i: all(type(system.getVirtualSite(k)) in _NUMBERS for k in with_parents(system, [i]) if system.isVirtualSite(k))
-        for i in particles
-        if system.isVirtualSite(i)
-    }
-    return [i for i, is_known in known.items() if is_known], [i for i, is_known in known.items() if not is_known]
+    named = np.unique(np.concatenate([np.zeros(0, dtype=np.intp), *(of.ravel() for of in terms)]))
+    return [
+        i
+        for i in named[sites[named]].tolist()
+        if all(type(system.getVirtualSite(k)) in _NUMBERS for k in with_parents(system, [i]) if sites[k])
+    ]
 
 
 def with_parents(system: openmm.System, particles: Iterable[int]) -> list[int]:
@@ -56,20 +66,22 @@ def owners(system: openmm.System, owner: Indices) -> Indices:
     without a body.
     """
     found = owner.copy()
-    for site in with_bonded_terms(system)[0]:
+    for site in with_bonded_terms(system):
         of = {int(owner[i]) for i in with_parents(system, [site]) if not system.isVirtualSite(i)}
         found[site] = of.pop() if len(of) == 1 else -2 - site
     return found
 
 
-def masses(system: openmm.System, x: Array) -> Array:
-    """Return masses (n,) in amu, given positions (n, 3) in nm, also of virtual sites with bonded terms.
+def masses(system: openmm.System, positions: Callable[[], Array]) -> Array:
+    """Return masses (n,) in amu, also of virtual sites with bonded terms, given their positions().
+
+    The positions (n, 3) in nm of whole molecules are requested only if there are such sites.
 
     The mass of a site is that with which it resists a force in the direction in which it moves most easily. If forces
     on the site exert the forces J f on particles of masses m, the inverse mass is the largest eigenvalue of
     the sum of J^T J / m.
     """
-    found, (sites, _) = parameters.masses(system), with_bonded_terms(system)
+    found, sites = parameters.masses(system), with_bonded_terms(system)
     if not sites:
         return found
     twin, push, groups = openmm.System(), openmm.CustomExternalForce("a*x + b*y + c*z"), []
@@ -83,7 +95,7 @@ def masses(system: openmm.System, x: Array) -> Array:
     twin.addForce(push)
     twin.setDefaultPeriodicBoxVectors(*system.getDefaultPeriodicBoxVectors())
     context = openmm.Context(twin, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
-    context.setPositions(x[np.concatenate(groups)])
+    context.setPositions(positions()[np.concatenate(groups)])
     context.computeVirtualSites()
     J = []
     for name in "abc":

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.sparse.csgraph import minimum_spanning_tree
 
 from openmm_exactrb.mechanics.images import image_gaps
-from openmm_exactrb.mechanics.shortest_links import shortest_links
+from openmm_exactrb.mechanics.shortest_links import connected_within, shortest_links
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -69,6 +69,21 @@ def test_the_links_contain_a_minimum_spanning_tree_of_each_body(shape, box, seed
     gaps, _ = image_gaps(X, box)
     for own, x in zip(gaps, X, strict=True):
         np.testing.assert_allclose(np.sort(own), tree_lengths(x, box), rtol=0.0, atol=1e-13)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@settings(max_examples=15, deadline=None)
+@given(SEEDS)
+def test_bodies_count_as_connected_only_by_links_of_given_lengths(shape, seed):
+    """And do so if their gaps are much shorter."""
+    rng = np.random.default_rng(seed)
+    n, k = rng.integers(1, 5), rng.integers(1, 160)
+    X = np.array([shape(rng, k) + rng.uniform(-5.0, 5.0, 3) for _ in range(n)])
+    longest = image_gaps(X, None)[0].max(axis=1, initial=0.0)
+    within = (longest + 1e-3) * rng.uniform(-0.2, 8.0, n)
+    found = connected_within(X, within)
+    assert not found[within < longest * (1.0 - 1e-12)].any()
+    assert found[within > 3.5 * (longest + 1e-3)].all()
 
 
 @pytest.mark.parametrize("box", BOXES, ids=["free", "cube", "slanted"])

@@ -26,6 +26,7 @@ from openmm_exactrb.mechanics.divergence import GROWN, HOTTEST, gained, non_fini
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.multiple_time_steps.fast_forces import FastForces
 from openmm_exactrb.multiple_time_steps.found import Found
+from openmm_exactrb.multiple_time_steps.virtual_sites import are_sites
 from openmm_exactrb.openmm_access import platforms
 from openmm_exactrb.openmm_access.molecules import in_flexible_molecules
 from openmm_exactrb.openmm_access.units import gas_constant_times
@@ -67,7 +68,7 @@ class DevicePropagator:
         self.updates = ContextUpdates(context, settings.named or [])
         self.device = Device(library(), integrator)
         self._integrator, self._timings, self._settings = weakref.ref(integrator), timings, settings
-        self._sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
+        self._sites = bool(are_sites(system).any())
         self._conserves = conserve_energy(system)
         self._version: object = None
         self._shown = True  # whether the Context shows the state, which within a call of a processed scheme it does not
