@@ -96,7 +96,7 @@ class ContextUpdates:
             self._frequencies = frequencies
             self._waiting = 0  # steps since OpenMM last acted
             self.moves, self.pushes = bool(barostats), len(acting) > len(barostats)
-            self.interval = math.gcd(*(force.getFrequency() for force in barostats))
+            self.interval = math.gcd(*(int(frequency(force)) for force in barostats))
             self._several |= len(barostats) > 1
             self.temperatures = {force.Temperature(): type(force).__name__ for force in acting}
         self.check_box(context)
@@ -185,7 +185,7 @@ class ContextUpdates:
         """Return the number of energies that barostats evaluate in n updates of OpenMM: two for each trial volume."""
         trials = 0
         for k, barostat in enumerate(self._barostats):
-            if period := barostat.getFrequency():
+            if period := int(frequency(barostat)):
                 more, self._since_trial[k] = divmod(min(self._since_trial[k], period - 1) + n, period)
                 trials += more
         return 2 * trials
@@ -244,7 +244,10 @@ def frequency(force: Any, context: openmm.Context | None = None) -> float:
     The force never acts if the result is 0. Without a Context, the result for a thermostat is its default.
     """
     if not _is_thermostat(force):
-        return int(force.getFrequency())
+        scales = not isinstance(force, openmm.MonteCarloAnisotropicBarostat) or any(
+            (force.getScaleX(), force.getScaleY(), force.getScaleZ())
+        )
+        return int(force.getFrequency()) * scales
     if context is None:
         return float(force.getDefaultCollisionFrequency()._value)
     return float(context.getParameter(force.CollisionFrequency()))

@@ -259,7 +259,7 @@ class DevicePropagator:
         """
         self._kept = self._shown
         try:
-            self._make(n, shows, since)
+            self._checked(n, shows, since)
             self.sync.stepped = True
         except DivergedError as found:
             self._restore()
@@ -284,8 +284,17 @@ class DevicePropagator:
         number, time = context.getStepCount() + 1, context.getTime()._value
         return found.kind(of_step(number, time, found.what, self.sync.state, self.sync.box()))
 
+    def _checked(self, n: int, shows: bool, since: Energies | None) -> None:
+        """Perform n steps; raise DivergedError if they diverge, as OpenMM may notice while it evaluates forces."""
+        try:
+            self._make(n, shows, since)
+        except openmm.OpenMMException as error:
+            if "NaN" not in str(error):
+                raise
+            self._refuse()
+
     def _make(self, n: int, shows: bool, since: Energies | None) -> None:
-        """Perform n steps; raise DivergedError if they diverge."""
+        """Perform n steps, and compare energies where these may have jumped."""
         kinetic, bad = self._step(n, shows)
         if bad:
             self._refuse()
@@ -312,11 +321,9 @@ class DevicePropagator:
         device, evaluations, self._shown = self.device, self._evaluations, shows or not self._processed
         try:
             *report, evaluations = device.perform(n, shows)
-        except openmm.OpenMMException as error:
+        except openmm.OpenMMException:
             evaluations = device.evaluations
-            if "NaN" not in str(error):
-                raise
-            self._refuse()
+            raise
         finally:
             trials = self.updates.trial_energies(n)
             around = trials // 2 * self._assembly.evaluated_around

@@ -1,0 +1,33 @@
+"""Runs that blow up end with an IntegrationError, and the Context keeps the last valid state."""
+
+import contextlib
+
+import numpy as np
+import openmm
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+import openmm_exactrb as rb
+from starts import positions_of, velocities_of
+
+SCHEMES = ["S2_2", "W2_1", "W4_4", "SRKN6_14a", "V2_C17"]
+
+
+@pytest.mark.parametrize("platform", ["Reference", "CPU"])
+@pytest.mark.parametrize("engine", ["host", "device"])
+@settings(max_examples=15, deadline=None)
+@given(st.sampled_from(SCHEMES), st.floats(0.05, 1.0), st.floats(300.0, 1e5), st.sampled_from([1, 60, 300]))
+@example("W2_1", 0.05, 3e4, 200)
+def test_blow_ups_of_any_size_are_integration_errors(engine, platform, scheme, size, kelvin, steps):
+    """Whether a body, the energy or OpenMM notices first."""
+    _, system, positions = rb.rigid_water(8, seed=1)
+    integrator = rb.ExactRigidBodyIntegrator(size, scheme, engine=engine)
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform(platform))
+    context.setPositions(positions)
+    integrator.setVelocitiesToTemperature(kelvin, 1)
+    with contextlib.suppress(rb.IntegrationError):
+        integrator.step(steps)
+    assert np.isfinite(positions_of(context)).all()
+    assert np.isfinite(velocities_of(context)).all()
+    integrator.step(0)
