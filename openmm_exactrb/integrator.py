@@ -69,8 +69,8 @@ class ExactRigidBodyIntegrator(Copied, OwnProgram, openmm.CustomIntegrator, Body
     engine : {"auto", "host", "device"}, optional
         What performs the steps. "host" means Python and numba on the CPU. "device" means kernels on the device of the
         Platform (CUDA, HIP or OpenCL) or, for Reference and CPU, in the package's C++ library (see "On a GPU" in the
-        documentation). "auto" means "device" on a GPU, if the library is available and the engine supports the System
-        and the settings; otherwise "host" (see `engineNote`).
+        documentation). "auto" means "device" if the library is available, the engine supports the System and the
+        settings, and the platform is Reference, CPU or a single GPU; otherwise "host" (see `engineNote`).
     thermostat : Thermostat, optional
         A thermostat of `openmm_exactrb.thermostats` or your own. With a thermostat, the scheme may also be a key of
         `openmm_exactrb.schemes.WITH_THERMOSTAT`. None means constant energy.
@@ -276,8 +276,8 @@ class ExactRigidBodyIntegrator(Copied, OwnProgram, openmm.CustomIntegrator, Body
             If this integrator is already performing a step in another thread.
         IntegrationError
             If the state becomes non-finite (NonFiniteError) or the total energy jumps. After this or any other error,
-            the Context contains the state after the last valid step or, on the device or with a processed scheme, the
-            state before this call.
+            the Context contains the state after the last valid step or, with a processed scheme on the host, the state
+            before this call. After an error of OpenMM with the device engine, the state may be up to 1000 steps older.
         """
         count = steps if type(steps) is int and steps >= 0 else checks.whole(steps, "the number of steps", least=0)
         self._begin_work()

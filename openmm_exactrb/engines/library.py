@@ -40,8 +40,8 @@ SECONDS = 10
 LIBRARY, NONE = "EXACTRB_LIBRARY", "none"
 #: What is said once in a process whose integrators are not those of the library.
 SLOWER = (
-    'steps are performed in Python; with engine="device", a single molecule would run up to 60 times as fast, and 27 '
-    "water molecules or a small peptide twice as fast: %s"
+    "steps are performed in Python; with the package's library, a single molecule would run up to 60 times as fast, "
+    "and 27 water molecules or a small peptide twice as fast: %s"
 )
 
 

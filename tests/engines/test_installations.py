@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="the compilers here are scripts")
 needs_compiler = pytest.mark.skipif(shutil.which("c++") is None, reason="needs a C++ compiler")
 
-SLOWER = "steps are performed in Python; with engine="
+SLOWER = "steps are performed in Python; with the package's library, "
 COMPILING, COMPILED = "compiling the library of integrators", "compiled in "
 STEPS = """
 import openmm

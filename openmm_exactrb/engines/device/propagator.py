@@ -18,7 +18,7 @@ from openmm_exactrb.engines.device.assembly import EXCHANGE_NUMBERS, Assembly
 from openmm_exactrb.engines.device.exchange import around_exchange, at_exchange
 from openmm_exactrb.engines.device.flexible.molecules import served
 from openmm_exactrb.engines.device.flexible.part import Flexible
-from openmm_exactrb.engines.device.reports import DivergedError, judged, kinetic_by_kind, monitor
+from openmm_exactrb.engines.device.reports import DivergedError, judged, kinetic_by_kind, monitor, thermal
 from openmm_exactrb.engines.device.state import FORCES, DeviceState
 from openmm_exactrb.engines.library import Device, library
 from openmm_exactrb.errors import IntegrationError, NonFiniteError
@@ -29,7 +29,6 @@ from openmm_exactrb.multiple_time_steps.found import Found
 from openmm_exactrb.multiple_time_steps.virtual_sites import are_sites
 from openmm_exactrb.openmm_access import platforms
 from openmm_exactrb.openmm_access.molecules import in_flexible_molecules
-from openmm_exactrb.openmm_access.units import gas_constant_times
 from openmm_exactrb.support.warn import warn
 
 # The state is checked after portions of at least and at most these numbers of steps. Portions grow while one takes less
@@ -299,7 +298,8 @@ class DevicePropagator:
         if bad:
             self._refuse()
         self.updates.check_box(self.sync.context)
-        if kinetic > GROWN * self._largest and self._judged and kinetic > GROWN * self._thermal:
+        grown = kinetic > GROWN * self._largest and self._judged
+        if grown and kinetic > GROWN * thermal(self._settings, self.updates, self.sync):
             self._compare(since)
         self._largest = max(self._largest, kinetic)
 
@@ -353,14 +353,6 @@ class DevicePropagator:
     def _judged(self) -> bool:
         """Whether a jump of the total energy raises an error."""
         return bool(self._conserves and self._settings.check)
-
-    @property
-    def _thermal(self) -> float:
-        """The largest kinetic energy (kJ/mol) attributed to thermostats: twice the canonical mean plus 20 kT."""
-        thermostat, bodies = self._settings.thermostat, self.sync.bodies
-        kT = 0.0 if thermostat is None else gas_constant_times(thermostat.temperature)
-        kT = max(kT, self.updates.hottest(self.sync.context))
-        return kT * (bodies.translational_freedom + bodies.rotational_freedom + 20)
 
     def _compare(self, since: Energies | None) -> None:
         """Raise DivergedError if the total energy has jumped.

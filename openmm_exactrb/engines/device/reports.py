@@ -7,6 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from openmm_exactrb.context.synchronisation import Synchronisation
+from openmm_exactrb.context.updates import ContextUpdates
 from openmm_exactrb.engines.device.flexible.part import FlexiblePart
 from openmm_exactrb.engines.device.rigid import RigidPart
 from openmm_exactrb.engines.engine import Settings
@@ -14,6 +16,7 @@ from openmm_exactrb.engines.library import Device
 from openmm_exactrb.errors import IntegrationError
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.divergence import Overheating
+from openmm_exactrb.openmm_access.units import gas_constant_times
 from openmm_exactrb.support.types import Array
 
 Parts = Sequence[RigidPart | FlexiblePart]
@@ -39,6 +42,13 @@ def monitor(settings: Settings, bodies: RigidBodies, parts: Parts) -> Overheatin
         return None
     rigid = sum(3 * part.n for part in parts if isinstance(part, RigidPart))
     return Overheating((rigid, bodies.rotational_freedom, bodies.translational_freedom - rigid), *settings.watched)
+
+
+def thermal(settings: Settings, updates: ContextUpdates, sync: Synchronisation) -> float:
+    """Return the largest kinetic energy (kJ/mol) attributed to thermostats: twice the canonical mean plus 20 kT."""
+    kT = 0.0 if settings.thermostat is None else gas_constant_times(settings.thermostat.temperature)
+    kT = max(kT, updates.hottest(sync.context))
+    return kT * (sync.bodies.translational_freedom + sync.bodies.rotational_freedom + 20)
 
 
 def kinetic_by_kind(device: Device, parts: Parts) -> Array:

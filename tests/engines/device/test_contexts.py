@@ -263,22 +263,22 @@ def test_a_state_that_is_not_finite_names_the_bodies_and_leaves_the_context(box)
 
 
 def test_a_force_that_fails_within_a_call_leaves_the_context_and_its_checkpoints(box, monkeypatch):
-    """As a lost device does: OpenMM's error arrives; the run continues from before the call, or in another Context."""
+    """OpenMM's error arrives; the run continues after the last complete step, or in another Context."""
     system = copy.deepcopy(box[0])
     system.addForce(openmm.PythonForce(partial(pull_that_fails, n=len(box[1]))))
     one, other = (on_device((system, box[1])) for _ in range(2))
     for context in (one, other):
         context.getIntegrator().step(3)
     one.loadCheckpoint(saved := one.createCheckpoint())  # forces are evaluated again after it, as in the other
-    before = held(one)
     monkeypatch.setattr(sys.modules[__name__], "EVALUATIONS", 4)
     with pytest.raises(openmm.OpenMMException, match="the device is lost"):
         one.getIntegrator().step(10)
-    assert one.getStepCount() == 3
-    np.testing.assert_array_equal(held(one), before)
+    done = one.getStepCount() - 3
+    assert 0 < done < 4
     monkeypatch.undo()
     one.loadCheckpoint(one.createCheckpoint())
     other.loadCheckpoint(saved)
+    other.getIntegrator().step(done)
     for context in (one, other):
         context.getIntegrator().step(5)
     assert apart(one, other) == 0.0
