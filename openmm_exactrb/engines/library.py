@@ -166,7 +166,7 @@ class Device:
         self._call("run", sequence.encode())
 
     def keep(self, slot: int = 0) -> None:
-        """Save the state of the Context and of the program in one of two places, 0 and 1."""
+        """Save the state of the Context and of the program in one of three places, 0 to 2."""
         self._call("keep", slot)
 
     def restore(self, slot: int = 0) -> None:

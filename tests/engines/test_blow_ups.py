@@ -19,6 +19,7 @@ SCHEMES = ["S2_2", "W2_1", "W4_4", "SRKN6_14a", "V2_C17"]
 @settings(max_examples=15, deadline=None)
 @given(st.sampled_from(SCHEMES), st.floats(0.05, 1.0), st.floats(300.0, 1e5), st.sampled_from([1, 60, 300]))
 @example("W2_1", 0.05, 3e4, 200)
+@example("V2_C17", 0.875, 30581.0, 60)
 def test_blow_ups_of_any_size_are_integration_errors(engine, platform, scheme, size, kelvin, steps):
     """Whether a body, the energy or OpenMM notices first."""
     _, system, positions = rb.rigid_water(8, seed=1)

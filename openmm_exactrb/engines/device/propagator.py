@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 import weakref
 from collections.abc import Callable
@@ -18,11 +19,18 @@ from openmm_exactrb.engines.device.assembly import EXCHANGE_NUMBERS, Assembly
 from openmm_exactrb.engines.device.exchange import around_exchange, at_exchange
 from openmm_exactrb.engines.device.flexible.molecules import served
 from openmm_exactrb.engines.device.flexible.part import Flexible
-from openmm_exactrb.engines.device.reports import DivergedError, judged, kinetic_by_kind, monitor, thermal
+from openmm_exactrb.engines.device.reports import (
+    DivergedError,
+    judged,
+    kinetic_by_kind,
+    monitor,
+    thermal,
+    warn_of_resonances,
+)
 from openmm_exactrb.engines.device.state import FORCES, DeviceState
 from openmm_exactrb.engines.library import Device, library
 from openmm_exactrb.errors import IntegrationError, NonFiniteError
-from openmm_exactrb.mechanics.divergence import GROWN, HOTTEST, gained, non_finite, of_step
+from openmm_exactrb.mechanics.divergence import GROWN, HOTTEST, gained, non_finite
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.multiple_time_steps.fast_forces import FastForces
 from openmm_exactrb.multiple_time_steps.found import Found
@@ -34,8 +42,8 @@ from openmm_exactrb.support.warn import warn
 # The state is checked after portions of at least and at most these numbers of steps. Portions grow while one takes less
 # than this time (s).
 _FEWEST, _MOST, _SECONDS = 10, 1000, 0.05
-# The place (see `Device.keep`) of the state after steps whose energies are compared.
-_AFTER = 1
+# The slots (see `Device.keep`) of the state after steps whose energies are compared, and of the last shown state.
+_AFTER, _LAST_SHOWN = 1, 2
 # Kinetic and total energy in kJ/mol.
 Energies = tuple[float, float]
 
@@ -59,6 +67,7 @@ class DevicePropagator:
 
     def __init__(self, context: Any, integrator: Any, settings: Any, timings: Timings) -> None:
         system = context.getSystem()
+        self._on_processor = context.getPlatform().getName() in platforms.PROCESSORS
         self._found: Found = settings.found(context)
         self._resonances = self._found.resonances(system)
         self._bonded = self._found.numbers(system) if settings.fast else None
@@ -102,13 +111,9 @@ class DevicePropagator:
         """
         self.sync.pull()
         state = at_exchange(settings(), self._served, self._fast, self.sync)
-        self.device.keep(_AFTER)
-        try:
+        with self.sync.kept(_AFTER):
             forces = ContextForces(self.sync.positions, settings().groups, self._timings)
             return float(sum(self.sync.bodies.kinetic_energies(state.rounded)) + forces.energy_at(state))
-        finally:
-            self.device.restore(_AFTER)  # to the bit, unlike positions that are computed again
-            self.sync.restored()
 
     # -- the program ---------------------------------------------------------------------------------------------------
 
@@ -140,10 +145,6 @@ class DevicePropagator:
         return [Flexible(molecules, self.sync.particles, precision) for molecules in self._served.molecules]
 
     @property
-    def _on_processor(self) -> bool:
-        return self.sync.context.getPlatform().getName() in platforms.PROCESSORS
-
-    @property
     def _fast(self) -> FastForces | None:
         return self._found.fast
 
@@ -160,7 +161,7 @@ class DevicePropagator:
             self._load()
             self.sync.renew()
             self._fast_changed = False
-        self._warn_of_resonances()
+        warn_of_resonances(settings, self._fast, self._resonances)
         self._overheating = monitor(self._settings, self.sync.bodies, self._assembly.parts) if self._conserves else None
         self.device["settings"] = settings.identity
         self.device["hottest"] = HOTTEST if self._judged else 1e300
@@ -173,14 +174,6 @@ class DevicePropagator:
             flexible = in_flexible_molecules(self.sync.context, whole, settings.named)[whole.owner[first]]
             for part in self._assembly.parts:
                 part.flag(self.device, flexible)
-
-    def _warn_of_resonances(self) -> None:
-        """Warn once if slow forces may heat fast motions."""
-        settings, fast = self._settings, self._fast
-        if fast is None or self._resonances is None or not settings.accepts_hot_states:
-            return
-        if fast.acts(settings.splitting, settings.h):
-            self._resonances.warn(settings.splitting, abs(settings.h / settings.splits))
 
     def _exchange(self, tau: float) -> tuple[float, ...]:
         """Return the numbers of a heat exchange over tau (ps), padded with zeros to `EXCHANGE_NUMBERS`."""
@@ -237,6 +230,8 @@ class DevicePropagator:
             self._largest, self._reference = self._report()[0], None
             if self._overheating is not None:
                 self._overheating.begin(self.sync.context.getTime()._value)
+        if n > self._portion and self._processed:
+            self.device.keep(_LAST_SHOWN)
         while n > 0:
             count = min(n, self._portion)
             start = time.perf_counter()
@@ -262,10 +257,11 @@ class DevicePropagator:
             self.sync.stepped = True
         except DivergedError as found:
             self._restore()
+            self._show_valid(found)
             if n == 1:
-                self._show()
-                raise self._error(found) from None
+                raise found.at_next_step(self.sync) from None
             since = self._energies()
+            self.device.keep(_LAST_SHOWN)
             for k in range(n):
                 self._perform(1, shows and k == n - 1, since)
         except BaseException as error:
@@ -275,13 +271,6 @@ class DevicePropagator:
             except openmm.OpenMMException as second:  # the first error is raised, with a note
                 error.add_note(f"The Context could not be restored ({second}): load a checkpoint into a new Context.")
             raise
-
-    def _error(self, found: DivergedError) -> IntegrationError:
-        """Return the error for the next step, which diverges; the Context contains the state before it."""
-        self.sync.pull()
-        context = self.sync.context
-        number, time = context.getStepCount() + 1, context.getTime()._value
-        return found.kind(of_step(number, time, found.what, self.sync.state, self.sync.box()))
 
     def _checked(self, n: int, shows: bool, since: Energies | None) -> None:
         """Perform n steps; raise DivergedError if they diverge, as OpenMM may notice while it evaluates forces."""
@@ -315,6 +304,19 @@ class DevicePropagator:
         if not self._shown:
             self.device.show()
             self._shown = True
+
+    def _show_valid(self, found: DivergedError) -> None:
+        """Show the state; if it is too large for this, restore the last shown state, and raise the error."""
+        if self._shown:
+            return
+        with contextlib.suppress(openmm.OpenMMException):
+            self._show()
+            if not self._report()[1]:
+                return
+        self.device.restore(_LAST_SHOWN)
+        self._shown = True
+        self.sync.moved_on()
+        raise found.at_next_step(self.sync) from None
 
     def _step(self, n: int, shows: bool) -> tuple[float, bool]:
         """Perform n steps, and return a report; the Context `shows` the result, as it does without a processor."""

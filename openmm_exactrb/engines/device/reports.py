@@ -15,7 +15,9 @@ from openmm_exactrb.engines.engine import Settings
 from openmm_exactrb.engines.library import Device
 from openmm_exactrb.errors import IntegrationError
 from openmm_exactrb.mechanics.bodies import RigidBodies
-from openmm_exactrb.mechanics.divergence import Overheating
+from openmm_exactrb.mechanics.divergence import Overheating, of_step
+from openmm_exactrb.multiple_time_steps.fast_forces import FastForces
+from openmm_exactrb.multiple_time_steps.resonance import Resonances
 from openmm_exactrb.openmm_access.units import gas_constant_times
 from openmm_exactrb.support.types import Array
 
@@ -28,6 +30,12 @@ class DivergedError(Exception):
     def __init__(self, kind: type[IntegrationError], what: str) -> None:
         super().__init__(what)
         self.kind, self.what = kind, what
+
+    def at_next_step(self, sync: Synchronisation) -> IntegrationError:
+        """Return the error for the next step, which diverges; the Context contains the state before it."""
+        sync.pull()
+        number, time = sync.context.getStepCount() + 1, sync.context.getTime()._value
+        return self.kind(of_step(number, time, self.what, sync.state, sync.box()))
 
 
 def judged(translation: float, rotation: float, invalid: float) -> tuple[float, bool]:
@@ -42,6 +50,14 @@ def monitor(settings: Settings, bodies: RigidBodies, parts: Parts) -> Overheatin
         return None
     rigid = sum(3 * part.n for part in parts if isinstance(part, RigidPart))
     return Overheating((rigid, bodies.rotational_freedom, bodies.translational_freedom - rigid), *settings.watched)
+
+
+def warn_of_resonances(settings: Settings, fast: FastForces | None, resonances: Resonances | None) -> None:
+    """Warn once if slow forces may heat fast motions."""
+    if fast is None or resonances is None or not settings.accepts_hot_states:
+        return
+    if fast.acts(settings.splitting, settings.h):
+        resonances.warn(settings.splitting, abs(settings.h / settings.splits))
 
 
 def thermal(settings: Settings, updates: ContextUpdates, sync: Synchronisation) -> float:

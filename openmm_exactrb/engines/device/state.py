@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -120,10 +121,16 @@ class DeviceState(Synchronisation):
         self._upload()
         self._device.changes(clear=SET | LOADED)
 
-    def restored(self) -> None:
-        """Record that the device has restored the state that the Context contained before other positions."""
-        self.positions.moved()
-        self._device.changes(clear=SET)
+    @contextlib.contextmanager
+    def kept(self, slot: int) -> Iterator[None]:
+        """Keep the state in a place of the device, and restore it to the bit after other positions were written."""
+        self._device.keep(slot)
+        try:
+            yield
+        finally:
+            self._device.restore(slot)
+            self.positions.moved()
+            self._device.changes(clear=SET)
 
     def renew(self) -> None:
         """Write the state to the arrays of a new program, without inner coordinates."""

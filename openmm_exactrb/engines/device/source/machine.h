@@ -45,7 +45,7 @@ struct Kernel {
     }
 };
 enum { StepSize = -1, StepCount = -2 };
-const int SLOTS = 2;
+const int SLOTS = 3;
 
 // Notices that OpenMM has reordered the atoms, so that places and forces are out of date.
 class Reordered {
