@@ -18,4 +18,4 @@ class MinimisationError(openmm.OpenMMException, ArithmeticError):
 
 
 class MissingLibraryError(openmm.OpenMMException, RuntimeError):
-    """The library of the device engine is not available; the message states the reason and the remedy."""
+    """The library of the native engine is not available; the message states the reason and the remedy."""

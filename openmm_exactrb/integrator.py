@@ -66,10 +66,10 @@ class ExactRigidBodyIntegrator(Copied, OwnProgram, openmm.CustomIntegrator, Body
         Number of inner steps per step, at least one for each drift. The default gives at least 20 evaluations of bonded
         forces per shortest period of bonds and angles, at least 12.5 in schemes that contain a heat exchange, and at
         least 80 with SRKN4_6b.
-    engine : {"auto", "host", "device"}, optional
-        What performs the steps. "host" means Python and numba on the CPU. "device" means kernels on the device of the
+    engine : {"auto", "host", "native"}, optional
+        What performs the steps. "host" means Python and numba on the CPU. "native" means kernels on the device of the
         Platform (CUDA, HIP or OpenCL) or, for Reference and CPU, in the package's C++ library (see "On a GPU" in the
-        documentation). "auto" means "device" if the library is available, the engine supports the System and the
+        documentation). "auto" means "native" if the library is available, the engine supports the System and the
         settings, and the platform is Reference, CPU or a single GPU; otherwise "host" (see `engineNote`).
     thermostat : Thermostat, optional
         A thermostat of `openmm_exactrb.thermostats` or your own. With a thermostat, the scheme may also be a key of
@@ -277,7 +277,7 @@ class ExactRigidBodyIntegrator(Copied, OwnProgram, openmm.CustomIntegrator, Body
         IntegrationError
             If the state becomes non-finite (NonFiniteError) or the total energy jumps. After this or any other error,
             the Context contains the state after the last valid step or, with a processed scheme on the host, the state
-            before this call. After an error of OpenMM with the device engine, the state may be up to 1000 steps older.
+            before this call. After an error of OpenMM with the native engine, the state may be up to 1000 steps older.
         """
         count = steps if type(steps) is int and steps >= 0 else checks.whole(steps, "the number of steps", least=0)
         self._begin_work()

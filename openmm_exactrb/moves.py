@@ -89,14 +89,14 @@ class Move:
 
 def of_substep(substep: Any, part: float) -> tuple[Move, ...]:
     """Return the moves of a substep over a fraction of the step; raise ValueError if a device does not support it."""
-    moves: tuple[Move, ...] | None = substep.device_moves(part)
+    moves: tuple[Move, ...] | None = substep.kernel_moves(part)
     if moves is None:
-        raise ValueError(f"the substep {substep!r} has no code for a device: define its method device_moves()")
-    if why := mismatch(substep, "device_moves", "bind"):
+        raise ValueError(f"the substep {substep!r} has no code for a device: define its method kernel_moves()")
+    if why := mismatch(substep, "kernel_moves", "bind"):
         raise ValueError(why)
     if any(move.op == Op.OWN and not MOVE.search(move.text) for move in moves):
         raise ValueError(
             f"the device code of {substep!r} must define `DEVICE inline void NAME(Body* body, double tau)`: correct "
-            "the text in its method device_moves()"
+            "the text in its method kernel_moves()"
         )
     return moves

@@ -32,7 +32,7 @@ class Substep:
 
     To define a custom substep, derive a frozen dataclass from this class, and use instances of it in the sequence of a
     `Scheme`. The class need not be registered. Substeps are compared by value. A class that overrides `bind` inherits
-    neither `device_moves` nor `oscillator`, because these describe the flow of its base class.
+    neither `kernel_moves` nor `oscillator`, because these describe the flow of its base class.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class Substep:
             f"the substep {self!r} has no matrix for a harmonic oscillator: define its method oscillator()"
         )
 
-    def device_moves(self, part: float) -> tuple[Move, ...] | None:
+    def kernel_moves(self, part: float) -> tuple[Move, ...] | None:
         """Return the moves over a fraction of the step, or None if a device does not support the substep."""
         return None
 
@@ -116,7 +116,7 @@ class Drift(Substep):
         """Return the matrix of the flow of q' = p."""
         return (1.0, tau), (0.0, 1.0)
 
-    def device_moves(self, part: float) -> tuple[Move, ...]:
+    def kernel_moves(self, part: float) -> tuple[Move, ...]:
         """Return the move of the drift."""
         return (Move(Op.DRIFT, part, bodies=self.bodies),)
 
@@ -148,7 +148,7 @@ class Kick(Substep):
         """Return the matrix of the flow of p' = -q."""
         return (1.0, 0.0), (-tau, 1.0)
 
-    def device_moves(self, part: float) -> tuple[Move, ...]:
+    def kernel_moves(self, part: float) -> tuple[Move, ...]:
         """Return the move of the kick, with the bits of its force groups."""
         return (Move(Op.KICK, part, groups=-1 if self.group is None else 1 << self.group),)
 
@@ -196,7 +196,7 @@ class GradientKick(Substep):
         """Return the matrix of the kick by the exact gradient, for which f . M^-1 f is q²."""
         return (1.0, 0.0), (-tau * (1.0 - self.strength * tau * tau), 1.0)
 
-    def device_moves(self, part: float) -> tuple[Move, ...]:
+    def kernel_moves(self, part: float) -> tuple[Move, ...]:
         """Return the moves: the displacement, and the kick by the forces at the displaced positions."""
         e = self.strength * part * part
         return Move(Op.DISPLACE, e, groups=-1), Move(Op.DISPLACED_KICK, part, groups=-1, weights=(e,))
@@ -233,7 +233,7 @@ class LastForcesKick(Substep):
 
         return flow
 
-    def device_moves(self, part: float) -> tuple[Move, ...]:
+    def kernel_moves(self, part: float) -> tuple[Move, ...]:
         """Return the move of the kick, whose `number` is the number of weights of forces."""
         return (Move(Op.LAST_KICK, part, len(self.weights), weights=(*self.weights, *self.differences)),)
 
@@ -262,7 +262,7 @@ class HeatExchange(Substep):
         """Return the identity, because the thermostat is ignored."""
         return (1.0, 0.0), (0.0, 1.0)
 
-    def device_moves(self, part: float) -> tuple[Move, ...]:
+    def kernel_moves(self, part: float) -> tuple[Move, ...]:
         """Return the move of the heat exchange, whose number selects its random numbers."""
         return (Move(Op.EXCHANGE, part, self.number),)
 

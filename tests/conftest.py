@@ -19,7 +19,7 @@ def pytest_addoption(parser):
 
 
 def pytest_configure(config):
-    # The library of the device engine, also where there is no home folder to write to.
+    # The library of the native engine, also where there is no home folder to write to.
     os.environ.setdefault("EXACTRB_CACHE", str(config.rootpath / ".pytest_cache" / "library"))
     if workers := config.getoption("numprocesses", None):  # they share the cores, and inherit this
         os.environ.setdefault("OPENMM_CPU_THREADS", str(max(1, (os.cpu_count() or 1) // workers)))

@@ -256,7 +256,7 @@ def main() -> None:
     add = parser.add_argument
     add("--only", choices=("water", "peptides", "solutes"), help="some of the rows")
     add("--pdb", type=Path, help="a solvated protein, beside alanine dipeptide")
-    add("--engine", default="device", help="of our integrators (%(default)s)")
+    add("--engine", default="native", help="of our integrators (%(default)s)")
     add("--record", type=Path, default=DOCS / "small_systems.csv")
     args = parser.parse_args()
     if hasattr(os, "sched_setaffinity"):

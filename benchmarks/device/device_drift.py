@@ -1,4 +1,4 @@
-"""The energy drift in single, mixed and double precision: the device engine, the host engine, and OpenMM's integrators.
+"""The energy drift in single, mixed and double precision: the native engine, the host engine, and OpenMM's integrators.
 
 The system is a periodic box of TIP3P with PME and a switched cutoff, a droplet without a cutoff, or a peptide in water
 with heavy hydrogens and inner steps for its bonded forces. All runs begin at one start at 300 K and have the same time
@@ -11,9 +11,9 @@ resumes an interrupted run; a command with other settings needs another file.
 
     python benchmarks/device/device_drift.py --platform OpenCL --molecules 64 --ps 6 --samples 60
     python benchmarks/device/device_drift.py --platform OpenCL --system droplet --molecules 27 --fs 0.4 --ps 0.4 \
-        --samples 25 --integrators S6_10:device S6_10:host
+        --samples 25 --integrators S6_10:native S6_10:host
     python benchmarks/device/device_drift.py --platform OpenCL --system peptide --fs 4 --precisions mixed \
-        --integrators W2_1:device W2_1:host
+        --integrators W2_1:native W2_1:host
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ def main():
     parser.add_argument("--fs", type=float, default=1.0, help="a force evaluation")
     parser.add_argument("--ps", type=float, default=100.0)
     parser.add_argument("--samples", type=int, default=100)
-    names = ["Verlet:openmm", "LangevinMiddle:openmm", "S2_2:device", "W2_1:device", "S6_10:device", "S2_2:host"]
+    names = ["Verlet:openmm", "LangevinMiddle:openmm", "S2_2:native", "W2_1:native", "S6_10:native", "S2_2:host"]
     parser.add_argument("--integrators", nargs="+", default=names, help="name:engine")
     parser.add_argument("--precisions", nargs="+", default=PRECISIONS, choices=PRECISIONS)
     parser.add_argument("--csv", type=Path, default=Path("device_drift.csv"))

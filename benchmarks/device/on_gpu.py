@@ -1,6 +1,6 @@
-"""Test and measure the device engine on a GPU, for water, proteins, a membrane and dipoles, with OpenMM for comparison.
+"""Test and measure the native engine on a GPU, for water, proteins, a membrane and dipoles, with OpenMM for comparison.
 
-The script runs in a checkout and needs a C++ compiler for the library of the device engine:
+The script runs in a checkout and needs a C++ compiler for the library of the native engine:
 
     pip install -e ".[test]" "openmm-cuda-12>=8.6,<8.7" openmmtools     (or openmm-cuda-13, openmm-hip-6)
     python benchmarks/device/on_gpu.py --platform CUDA --minutes 9
@@ -206,7 +206,7 @@ class Measurement:
 
     def test(self):
         """Run tests of the device on the platform, for a third of the time at most."""
-        command = [sys.executable, "-m", "pytest", "-q", "-x", "tests/engines/device", "-k", TESTED]
+        command = [sys.executable, "-m", "pytest", "-q", "-x", "tests/engines/native", "-k", TESTED]
         environment = os.environ | {"OPENMM_DEFAULT_PLATFORM": self.options.platform}
         begin = time.perf_counter()
         try:
@@ -278,7 +278,7 @@ def main():
     help_ = "peptide, villin, dhfr, membrane, or PDB files, and copies of them"
     parser.add_argument("--proteins", nargs="*", default=proteins, help=help_)
     parser.add_argument("--dipoles", type=int, nargs="*", default=[64, 512, 4096])
-    parser.add_argument("--engines", nargs="+", choices=("device", "host"), default=["device"], help="of ours")
+    parser.add_argument("--engines", nargs="+", choices=("native", "host"), default=["native"], help="of ours")
     parser.add_argument("--forces", type=int, default=400, help="at most so many force evaluations a round")
     parser.add_argument("--rounds", type=int, default=7, help="at most so many")
     parser.add_argument("--clock", choices=tuple(CLOCKS), default="wall")

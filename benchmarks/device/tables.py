@@ -15,7 +15,7 @@ _NAMES = {
 }
 _SCHEMES = ("S2_2", "W2_1", "S6_10", "BAOA")
 _PROTEINS = ("peptide", "villin", "5dfr_solv-cube_equil", "membrane")
-_OF_PROTEINS = {"LangevinMiddle": 4, "BAOA device": 4, "W2_3m device": 8}  # fs between two evaluations
+_OF_PROTEINS = {"LangevinMiddle": 4, "BAOA native": 4, "W2_3m native": 8}  # fs between two evaluations
 
 
 def _by_system() -> dict[tuple[str, str], dict[str, dict[str, str]]]:
@@ -46,7 +46,7 @@ def device_proteins() -> str:
         if system not in _PROTEINS:
             continue
         some = [found[name] for name in _OF_PROTEINS]
-        theirs, ours = (float(found[name]["ns/day"]) for name in ("LangevinMiddle", "W2_3m device"))
+        theirs, ours = (float(found[name]["ns/day"]) for name in ("LangevinMiddle", "W2_3m native"))
         cells = (f"{float(row['ms']):.3f}, {float(row['ns/day']):.0f}" for row in some)
         body.append((_NAMES[system].format(molecules), *cells, f"{ours / theirs:.2f}"))
     names = (f"`{name.removesuffix(' device')}`, {fs} fs" for name, fs in _OF_PROTEINS.items())

@@ -1,7 +1,7 @@
 """A protein in water at long steps: temperatures of groups, energies by type, density and torsions.
 
 The system is alanine dipeptide (amber14) in 212 TIP3P molecules, or a solvated PDB file with --pdb, with PME and a
-switch and constrained bonds to hydrogen. Runs use the CPU platform with one thread, or the device engine. Masses are
+switch and constrained bonds to hydrogen. Runs use the CPU platform with one thread, or the native engine. Masses are
 unchanged, or hydrogens of the solute, or all hydrogens, have 3 amu. The same temperature estimator is used for all
 integrators, and is computed from velocities projected onto the constraints. It gives separate temperatures for the
 linear and angular momenta of water molecules, for the solute as a whole, and for the centres and the internal rotation
@@ -170,7 +170,7 @@ def integrator_of(name: str, interval: float, friction: str, temperature: float 
         if of_solute:
             raise SystemExit(f"{scheme} has one friction for all molecules, not {friction}")
         return OPENMM[scheme](temperature, of_all, interval)
-    step, engine = splitting(scheme).forces * interval, "device" if device else "host"
+    step, engine = splitting(scheme).forces * interval, "native" if device else "host"
     own = of_solute[0] if of_solute else None
     return rb.ExactRigidBodyLangevinIntegrator(
         temperature, of_all, step, scheme=scheme, engine=engine, flexibleFriction=own

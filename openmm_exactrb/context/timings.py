@@ -13,10 +13,10 @@ class Timings:
     ----------
     forces : float
         Time for setting positions and for evaluations, in OpenMM and in the compiled kernels of bonded forces. The
-        device engine does not measure this time.
+        native engine does not measure this time.
     rotor : float
         Time for the free motion of the bodies, including bonded forces if one compiled call performs the inner steps.
-        The device engine does not measure this time.
+        The native engine does not measure this time.
     total : float
         Total time inside step().
     evaluations : int

@@ -27,10 +27,10 @@ _VECTORS = tuple(f"{name}{part}" for part in ("", "_low") for name in "RPmqw")
 #: Prefixes of the state that the Context shows, and of the state in the inner coordinates of a processed scheme.
 SHOWN, INNER = "", "inner_"
 # Whether there is a state, and whether Python performs a step. Values from _WRITTEN to below _STEPPING mean that the
-# variables hold a state, and identify its format; see `written`. _LIBRARY or _DEVICE is added to such a value if the
-# library's integrator stores the state of the host, or if the state is on a device.
+# variables hold a state, and identify its format; see `written`. _LIBRARY or _NATIVE is added to such a value if the
+# library's integrator stores the state of the host, or if it stores the state of the native engine.
 _STORED = "stored"
-NOTHING, _WRITTEN, _STEPPING, _LIBRARY, _DEVICE = 0.0, 1.0, 2.0, 2.0, 4.0
+NOTHING, _WRITTEN, _STEPPING, _LIBRARY, _NATIVE = 0.0, 1.0, 2.0, 2.0, 4.0
 #: What identifies that to which the inner state belongs (0 without an inner state), a sum of the forces at the saved
 #: positions, and the numbers of forces and of differences of displaced forces that are stored with the inner state.
 COORDINATES, FORCES, REMEMBERED, DIFFERENCES = "coordinates", "forces", "remembered", "differences"
@@ -111,12 +111,12 @@ def declared(integrator: openmm.CustomIntegrator) -> bool:
     return bool(integrator.getNumGlobalVariables()) and integrator.getGlobalVariableName(0) == PREFIX + _STORED
 
 
-def device(own: Sequence[str]) -> float:
-    """Return the first number, from 5 to below 6, of an integrator whose state is on a device."""
-    return written(own) + _DEVICE
+def native(own: Sequence[str]) -> float:
+    """Return the first number, from 5 to below 6, of an integrator that stores the state of the native engine."""
+    return written(own) + _NATIVE
 
 
-def declare_device(integrator: openmm.CustomIntegrator, own: Sequence[str] = ()) -> None:
+def declare_native(integrator: openmm.CustomIntegrator, own: Sequence[str] = ()) -> None:
     """Give the first number and the numbers of `declare_numbers` to a new integrator that stores the state itself."""
     integrator.addGlobalVariable(PREFIX + _STORED, NOTHING)
     declare_numbers(integrator, own)

@@ -18,10 +18,10 @@ from pathlib import Path
 import openmm
 
 _HERE = Path(__file__).parent
-_DEVICE = _HERE / "device"
+_NATIVE = _HERE / "native"
 #: The C++ sources of the library, and the files that they include.
-SOURCES = tuple(sorted((_DEVICE / "source").glob("*.cpp")))
-INCLUDED = tuple(sorted((*(_DEVICE / "source").glob("*.h"), *(_DEVICE / "kernels").glob("*.cl"))))
+SOURCES = tuple(sorted((_NATIVE / "source").glob("*.cpp")))
+INCLUDED = tuple(sorted((*(_NATIVE / "source").glob("*.h"), *(_NATIVE / "kernels").glob("*.cl"))))
 #: The library that a wheel contains.
 BUNDLED = _HERE / "program_integrator.so"
 #: The minor version of OpenMM for which the sources are written, because they depend on the layout of its classes.

@@ -94,7 +94,7 @@ class Library:
             raise openmm.OpenMMException(self._functions.pi_error().decode())
 
 
-class Device:
+class Machine:
     """Access to the program, the arrays and the scalars of a program integrator that has a Context.
 
     Parameters
@@ -111,7 +111,7 @@ class Device:
         self._library.call(function, self._integrator(), *arguments)
 
     def load(self, program: str) -> None:
-        """Load a program, given as the text of an `openmm_exactrb.engines.device.program.Program`."""
+        """Load a program, given as the text of an `openmm_exactrb.engines.native.program.Program`."""
         self._call("program", program.encode())
 
     def upload(self, name: str, values: NDArray[Any]) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import openmm
 
 from openmm_exactrb.context import variables
-from openmm_exactrb.engines.catalogue import ENGINES, in_order
+from openmm_exactrb.engines.catalogue import ENGINES, in_order, named
 from openmm_exactrb.engines.engine import Engine, Settings
 from openmm_exactrb.engines.library import adopt
 
@@ -36,6 +36,7 @@ class Selection:
     """
 
     def __init__(self, asked: str, settings: Settings) -> None:
+        asked = named(asked)
         if asked != AUTO and asked not in ENGINES:
             raise ValueError(f"the engine {asked!r} is unknown: choose one of {', '.join((*ENGINES, AUTO))}")
         self.asked = asked

@@ -10,7 +10,7 @@ state. In words of 64 bits, the lowest first, the layout is::
 Seed and step are encoded as signed integers. Each value of the counter yields a block of four words. In an array (...,
 N), the counter of body n has the lowest word n + 1. The second word is the index of the block. An array of more than
 four rows has several blocks. Hence a random number does not depend on how many numbers were drawn before it, on where a
-run was interrupted, or on the engine that performs the step. In the device engine, kernels/random.cl generates the same
+run was interrupted, or on the engine that performs the step. In the native engine, kernels/random.cl generates the same
 numbers. The stream is the index of the heat exchange in the step times `PURPOSES`, plus the purpose.
 
 Normal variates are computed from neighbouring words by the method of G. E. P. Box and M. E. Muller (1958),

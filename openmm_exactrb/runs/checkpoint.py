@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
+from openmm_exactrb.engines.catalogue import named
 from openmm_exactrb.support.files import written_whole
 
 #: Name of the file.
@@ -38,6 +39,7 @@ class Checkpoint(NamedTuple):
         """Raise ValueError if the identity of the run differs from that of the checkpoint."""
         for name in {**self.identity, **identity}:
             was, now = self.identity.get(name, "not there"), identity.get(name, "not there")
+            was = named(was) if name == "integrator engine" else was
             if was != now:
                 raise ValueError(
                     f"{file} belongs to another run, in which {name} was {was}, but now it is {now}: restore this "

@@ -109,6 +109,6 @@ class HeatedIntegrator(ThermostattedIntegrator):
         Raises
         ------
         ValueError
-            If the device engine lets OpenMM evaluate fast forces in a drift after the last heat exchange.
+            If the native engine lets OpenMM evaluate fast forces in a drift after the last heat exchange.
         """
         return self._energyAtExchange() - self.heat()

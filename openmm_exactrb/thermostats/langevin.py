@@ -210,7 +210,7 @@ class ExactRigidBodyLangevinIntegrator(HeatedIntegrator):
         and a body of ``bodies`` joins its molecules.
     bodies, fast, inner, innerSteps, forceInterval, checkDivergence, constraints : optional
         As in `ExactRigidBodyIntegrator`.
-    engine : {"auto", "host", "device"}, optional
+    engine : {"auto", "host", "native"}, optional
         As in `ExactRigidBodyIntegrator`.
 
     Raises

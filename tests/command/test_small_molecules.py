@@ -8,8 +8,8 @@ import openmm
 import pytest
 
 import small_molecules
-from on_device import device_platform
 from openmm_exactrb.command.main import main
+from places import device_platform
 from small_molecules import MOLECULES
 
 # Degrees of freedom of a molecule: of translation, and of rotation.

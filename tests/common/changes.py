@@ -9,9 +9,9 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 import starts
-from on_device import platform_for
 from openmm_exactrb.engines import selection
 from openmm_exactrb.schemes import WITH_THERMOSTAT
+from places import platform_for
 from starts import REFERENCE, positions_of, velocities_of
 
 #: Where steps are performed: on the host, with integrators of the library or without one, or by the kernels.
@@ -68,12 +68,12 @@ class Run:
 
     @property
     def platform(self):
-        platform, properties = platform_for("device" if self.place == "OpenCL" else "host")
+        platform, properties = platform_for("native" if self.place == "OpenCL" else "host")
         return {"platform": platform, "properties": properties}
 
     def made(self, place):
         thermostat = None if self.thermostat is None else rb.thermostats.Langevin(300.0, 1.0)
-        engine = "device" if place in ("kernels", "OpenCL") else "host"
+        engine = "native" if place in ("kernels", "OpenCL") else "host"
         with pytest.MonkeyPatch.context() as patch:
             if place == "no library":
                 patch.setattr(selection, "adopt", lambda integrator: None)

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import openmm
 
 import openmm_exactrb as rb
-from on_device import platform_for
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.substeps import DRIFT, Drift, GradientKick, HeatExchange, Kick, LastForcesKick
 from openmm_exactrb.thermostats import Langevin, NoseHooverChain, StochasticRescaling
+from places import platform_for
 
 WATERS = rb.rigid_water(2)
 

@@ -8,8 +8,8 @@ import openmm
 from openmm import app, unit
 
 import openmm_exactrb as rb
-from on_device import platform_for
 from openmm_exactrb.multiple_time_steps.bonded import interacting_exceptions
+from places import platform_for
 from starts import context_of, positions_of
 
 PEPTIDE = Path(__file__).parents[2] / "examples" / "data" / "alanine_dipeptide.pdb"

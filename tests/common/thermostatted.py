@@ -8,10 +8,10 @@ from openmm import unit
 
 import openmm_exactrb as rb
 import starts
-from on_device import platform_for
 from openmm_exactrb.schemes import scheme_for_thermostat
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.substeps import DRIFT
+from places import platform_for
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
 R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)

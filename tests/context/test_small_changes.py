@@ -5,8 +5,8 @@ import openmm
 import pytest
 
 import openmm_exactrb as rb
-from on_device import platform_for
 from peptides import moving, peptide, positions_of
+from places import platform_for
 from starts import force_of
 
 SMALL = 1e-12  # nm, nm/ps
@@ -58,7 +58,7 @@ def loaded(context, how):
 
 
 @pytest.mark.parametrize("how", ["stepped", "checkpoint", "state"])
-@pytest.mark.parametrize(("engine", "scheme"), [("host", "S2_2"), ("host", "W2_1"), ("device", "S2_2")])
+@pytest.mark.parametrize(("engine", "scheme"), [("host", "S2_2"), ("host", "W2_1"), ("native", "S2_2")])
 def test_changes_of_one_in_a_thousand_billion_are_taken_up(system, engine, scheme, how):
     context = loaded(context_of(system, engine, scheme), how)
     integrator = context.getIntegrator()

@@ -5,7 +5,7 @@ import openmm
 import pytest
 
 import openmm_exactrb as rb
-from on_device import platform_for
+from places import platform_for
 from starts import simulation_of
 
 H, T = 0.002, 300.0
@@ -89,7 +89,7 @@ def test_states_of_ours_are_loaded_by_openmms_integrators(tmp_path, theirs, ours
 @pytest.mark.opencl
 @pytest.mark.parametrize("theirs", THEIRS)
 def test_states_of_openmms_integrators_are_loaded_on_the_device(theirs):
-    first, second = water(THEIRS[theirs]()), water(OURS["S2_2"](engine="device"), platform_for("device")[0])
+    first, second = water(THEIRS[theirs]()), water(OURS["S2_2"](engine="native"), platform_for("native")[0])
     first.step(2)
     second.step(1)
     second.context.setState(first.context.getState(positions=True, velocities=True, integratorParameters=True))

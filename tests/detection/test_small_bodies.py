@@ -19,7 +19,7 @@ def body(extent, named, place, engine="host"):
     return context_of(system_of(MASSES, held), integrator, x + place), integrator
 
 
-@pytest.mark.parametrize("engine", ["host", "device"])
+@pytest.mark.parametrize("engine", ["host", "native"])
 @pytest.mark.parametrize("named", [True, False])
 @pytest.mark.parametrize("extent", [1e-2, 3e-4, 5e-5, 1.1e-6])
 def test_small_bodies_turn(extent, named, engine):

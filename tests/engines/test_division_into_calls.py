@@ -27,7 +27,7 @@ def shown_after(calls, start, platform, make):
     return shown
 
 
-@pytest.mark.parametrize("engine", ["host", "device"])
+@pytest.mark.parametrize("engine", ["host", "native"])
 @pytest.mark.parametrize("platform", [REFERENCE, CPU], ids=["Reference", "CPU"])
 @pytest.mark.parametrize("start", [peptide, in_water], ids=["peptide", "in water"])
 @pytest.mark.parametrize("fast", [None, "bonded"])

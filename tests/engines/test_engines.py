@@ -11,6 +11,7 @@ import pytest
 import openmm_exactrb as rb
 from few_dipoles import REFERENCE
 from openmm_exactrb.engines import ENGINES
+from openmm_exactrb.runs.checkpoint import Checkpoint
 
 PACKAGE = Path(rb.__file__).parent
 HOST = ENGINES["host"]
@@ -50,7 +51,7 @@ def own(monkeypatch):
         return settings.h < 0.005, "its steps are short"
 
     engine = replace(HOST, name="own", unsupported=unsupported, unsupported_in=unsupported_in, advice=advice)
-    monkeypatch.setitem(ENGINES, "device", replace(ENGINES["device"], advice=lambda *_: (False, "not here")))
+    monkeypatch.setitem(ENGINES, "native", replace(ENGINES["native"], advice=lambda *_: (False, "not here")))
     monkeypatch.setitem(ENGINES, "own", engine)
     return asked
 
@@ -97,8 +98,17 @@ def test_what_an_engine_does_not_serve_is_an_error_where_it_was_asked_for(own):
 
 
 def test_unknown_engines_are_an_error_with_those_that_there_are(own):
-    with pytest.raises(ValueError, match="the engine 'gpu' is unknown: choose one of host, device, own, auto"):
+    with pytest.raises(ValueError, match="the engine 'gpu' is unknown: choose one of host, native, own, auto"):
         rb.ExactRigidBodyIntegrator(0.002, engine="gpu")
+
+
+def test_the_former_name_of_the_native_engine_is_read():
+    integrator = rb.ExactRigidBodyIntegrator(0.002, engine="device")
+    assert integrator.getSettings() == rb.ExactRigidBodyIntegrator(0.002, engine="native").getSettings()
+    run = Checkpoint(0, 0, 0.0, {}, {}, {"integrator engine": "device", "setting where": "device"}, b"")
+    run.check_same_run({"integrator engine": "native", "setting where": "device"}, Path("run"))
+    with pytest.raises(ValueError, match="in which setting where was device, but now it is native"):
+        run.check_same_run({"integrator engine": "native", "setting where": "native"}, Path("run"))
 
 
 def test_a_run_from_a_checkpoint_keeps_the_engine_whose_mark_it_has(own, monkeypatch):
@@ -118,7 +128,7 @@ def test_a_run_from_a_checkpoint_keeps_the_engine_whose_mark_it_has(own, monkeyp
 
 
 def test_no_file_outside_of_the_engines_imports_one():
-    inside = re.compile(r"on_device|^ *(?:from|import) openmm_exactrb\.engines\.(?:host|device)", re.M)
+    inside = re.compile(r"places|^ *(?:from|import) openmm_exactrb\.engines\.(?:host|native)", re.M)
     for file in PACKAGE.rglob("*.py"):
         name = file.relative_to(PACKAGE).as_posix()
         if not name.startswith("engines/"):

@@ -29,7 +29,7 @@ import openmm
 import openmm_exactrb as rb
 from openmm_exactrb.engines.library import describe
 _, system, positions = rb.rigid_water(2)
-for engine in ("auto", "host", "device"):
+for engine in ("auto", "host", "native"):
     try:
         integrator = rb.ExactRigidBodyIntegrator(0.001, engine=engine)
     except ValueError as error:
@@ -124,7 +124,7 @@ def test_many_processes_compile_once_and_a_killed_one_does_no_harm(machine):
     assert {file.name for file in machine.cache.iterdir()} == {"lock", path.name}
     for printed, _ in runs:
         assert str(path) in printed[-1]
-        assert printed[-1].startswith("device; ")
+        assert printed[-1].startswith("native; ")
     # A wheel with this library needs no compiler, and writes nothing.
     machine.package = machine.folder / "site-packages"
     shutil.copytree(ROOT / "openmm_exactrb", machine.package / "openmm_exactrb")
@@ -195,7 +195,7 @@ def test_clang_compiles_the_library(machine):
     machine.install(f'exec {clang} "$@" -O0')
     printed, logged = machine.run()
     assert [line.startswith(COMPILING) for line in logged] == [True, False]
-    assert printed[-1].startswith("device; ")
+    assert printed[-1].startswith("native; ")
 
 
 def test_on_windows_the_compiler_is_that_of_visual_studio(machine, monkeypatch):

@@ -46,9 +46,9 @@ def test_a_substep_that_overrides_its_flow_alone_is_left_to_the_host(substep, pl
     if isinstance(substep, HeatExchange):  # not within processors
         options, processor, place = {"thermostat": Langevin(300.0, 1.0)}, {}, "sequence"
     scheme = Scheme("mine", 2, **({"sequence": verlet} | processor | {place: rows}))
-    why = rf"{type(substep).__name__} overrides bind\(\) but inherits device_moves\(\)"
+    why = rf"{type(substep).__name__} overrides bind\(\) but inherits kernel_moves\(\)"
     with pytest.raises(ValueError, match=why):
-        rb.ExactRigidBodyIntegrator(0.001, scheme, engine="device", **options)
+        rb.ExactRigidBodyIntegrator(0.001, scheme, engine="native", **options)
     left = rb.ExactRigidBodyIntegrator(0.001, scheme, **options)
     assert note_of(left).startswith(f"{type(substep).__name__} overrides bind()")
 
@@ -56,7 +56,7 @@ def test_a_substep_that_overrides_its_flow_alone_is_left_to_the_host(substep, pl
 @pytest.mark.parametrize("thermostat", THERMOSTATS.values(), ids=THERMOSTATS)
 def test_a_thermostat_that_overrides_its_exchange_alone_is_left_to_the_host(thermostat):
     with pytest.raises(ValueError, match=r"overrides (bind|flow|moved)\(\) but inherits kernel_exchange\(\)"):
-        rb.ExactRigidBodyIntegrator(0.001, "S2_2", engine="device", thermostat=thermostat)
+        rb.ExactRigidBodyIntegrator(0.001, "S2_2", engine="native", thermostat=thermostat)
     left = rb.ExactRigidBodyIntegrator(0.001, "S2_2", thermostat=thermostat)
     assert "but inherits kernel_exchange()" in note_of(left)
     left.setRandomNumberSeed(5)
@@ -174,7 +174,7 @@ def test_averages_of_another_exchange_are_not_corrected_as_those_of_langevin_dyn
 
 def test_no_class_of_the_package_contradicts_itself():
     made = (Drift(), Kick(), GradientKick(0.1), LastForcesKick((1.0,)), HeatExchange())
-    assert not any(mismatch(s, "device_moves", "bind") for s in made)
+    assert not any(mismatch(s, "kernel_moves", "bind") for s in made)
     assert not any(mismatch(s, "oscillator", "bind") for s in made if not isinstance(s, LastForcesKick))
     ours = Langevin(300, 1), StochasticRescaling(300, 1), NoseHooverChain(300, 1), HybridMonteCarlo(300, 1)
     assert not any(mismatch(t, "kernel_exchange", *t.flows) for t in ours)

@@ -14,9 +14,9 @@ from openmm import app
 
 import openmm_exactrb as rb
 from every_integrator import KINDS, MOVING, WATER, WAYS, begun, ends, every, made, others, seeded, unconstrained
-from on_device import REFERENCE, platform_for
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.thermostats import Langevin
+from places import REFERENCE, platform_for
 from starts import context_of, positions_of, topology_of
 
 # -- settings ---------------------------------------------------------------------------------------------------------
@@ -102,7 +102,7 @@ def test_copies_have_the_same_trajectory_to_the_last_bit(name):
 
 @pytest.mark.parametrize("name", ["default", "thermostat", "ExactRigidBodyNoseHooverIntegrator"])
 def test_copies_have_the_same_trajectory_on_the_device(name):
-    integrator, where = seeded(MOVING[name][0], engine="device"), platform_for("device")
+    integrator, where = seeded(MOVING[name][0], engine="native"), platform_for("native")
     end = ends(name, seeded(integrator), *where)
     before = openmm.XmlSerializer.clone(integrator)
     _context = begun(name, integrator, *where)

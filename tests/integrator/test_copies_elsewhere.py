@@ -15,9 +15,9 @@ from test_copies import OWN, Labelled
 
 import openmm_exactrb as rb
 from every_integrator import KINDS, MOVING, ends, every, made, seeded
-from on_device import REFERENCE, device_platform
 from openmm_exactrb.engines.library import of_library
 from openmm_exactrb.openmm_access import settings_text
+from places import REFERENCE, device_platform
 from starts import CPU, context_of, positions_of, put, velocities_of
 
 ROOT = Path(__file__).parents[2]
@@ -123,7 +123,7 @@ def test_text_that_names_something_else_is_refused(parts, message):
         openmm.XmlSerializer.deserialize(changed(made(), **parts))
 
 
-@pytest.mark.parametrize("engine", ["host", "device"])
+@pytest.mark.parametrize("engine", ["host", "native"])
 def test_xml_without_settings_is_refused(engine):
     text = openmm.XmlSerializer.serialize(made(engine=engine))
     before, name, after = text.partition('kineticEnergyExpression="')
@@ -193,7 +193,7 @@ def in_a_compound_from_xml(integrator):
 
 
 @pytest.mark.parametrize("hold", [without_python, in_a_compound, in_a_compound_from_xml])
-@pytest.mark.parametrize(("platform", "engine"), [("Reference", "host"), ("CPU", "host"), ("", "host"), ("", "device")])
+@pytest.mark.parametrize(("platform", "engine"), [("Reference", "host"), ("CPU", "host"), ("", "host"), ("", "native")])
 def test_steps_by_openmm_alone_are_an_error_and_change_nothing(hold, platform, engine, periodic_water):
     system, state = periodic_water
     holder = hold(made(engine=engine))
@@ -202,7 +202,7 @@ def test_steps_by_openmm_alone_are_an_error_and_change_nothing(hold, platform, e
     put(context, state)
     before = positions_of(context), velocities_of(context)
     # On a device, OpenMM itself has no error with a text of the integrator's own.
-    message = ALONE if platform or engine == "device" else f"{ALONE}|Step size cannot be negative"
+    message = ALONE if platform or engine == "native" else f"{ALONE}|Step size cannot be negative"
     for _ in range(2):
         with pytest.raises(openmm.OpenMMException, match=message):
             holder.step(3)
@@ -236,7 +236,7 @@ def test_the_other_parts_of_a_compound_go_on(platform, periodic_water):
 # -- parts of compounds, and integrators of others --------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("engine", ["host", "device"])
+@pytest.mark.parametrize("engine", ["host", "native"])
 def test_a_part_of_a_compound_is_of_our_class_and_can_be_changed(engine):
     integrator = made(rb.ExactRigidBodyLangevinIntegrator, rotationalFriction=3.0, engine=engine)
     integrator.setRandomNumberSeed(5)

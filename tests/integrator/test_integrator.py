@@ -12,7 +12,7 @@ from openmm import unit
 import openmm_exactrb as rb
 import starts
 from few_dipoles import KT, energies, simulation_of, snapshot
-from on_device import platform_for
+from places import platform_for
 
 SHIFT = np.array([0.5, 0.0, 0.0])
 
@@ -164,7 +164,7 @@ def test_the_cpu_platform_agrees_with_reference():
 # -- what OpenMM allows a user of a CustomIntegrator ------------------------------------------------------------
 
 
-@pytest.mark.parametrize("engine", ["host", "device"])
+@pytest.mark.parametrize("engine", ["host", "native"])
 @pytest.mark.parametrize(
     ("name", "arguments"),
     [
@@ -240,7 +240,7 @@ def test_a_subclass_with_arguments_of_its_own_can_be_copied(twin_of):
     assert again.getStepCount() == 1
 
 
-@pytest.mark.parametrize("engine", ["host", "device"])
+@pytest.mark.parametrize("engine", ["host", "native"])
 def test_particles_that_were_set_to_the_origin_have_positions(engine):
     system = openmm.System()
     system.addParticle(1.0)

@@ -14,7 +14,7 @@ import openmm_exactrb as rb
 import starts
 import three_masses
 from few_dipoles import REFERENCE, simulation_of, snapshot
-from on_device import platform_for
+from places import platform_for
 
 # -- wrong input ------------------------------------------------------------------------------------------------
 
@@ -182,7 +182,7 @@ def test_positions_that_are_not_finite_are_refused():
         simulation.step(1)
 
 
-@pytest.mark.parametrize("engine", ["host", pytest.param("device", marks=pytest.mark.opencl)])
+@pytest.mark.parametrize("engine", ["host", pytest.param("native", marks=pytest.mark.opencl)])
 def test_a_frozen_particle_without_a_position_is_refused(engine):
     system, forces = openmm.System(), openmm.NonbondedForce()
     for mass in (16.0, 0.0, 12.0):
@@ -259,7 +259,7 @@ def test_a_step_far_too_large_stops_when_bodies_fly_apart():
     )
 
 
-@pytest.mark.parametrize("engine", ["host", "device"])
+@pytest.mark.parametrize("engine", ["host", "native"])
 @pytest.mark.parametrize("scheme", ["SRKN4_6b", "V2_C17"])
 def test_an_error_in_a_force_leaves_a_state_of_the_bodies(scheme, engine):
     """Between its steps a processed scheme holds another state, which must not be seen."""

@@ -10,10 +10,10 @@ import pytest
 from openmm import app, unit
 
 import openmm_exactrb as rb
-from on_device import platform_for
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.substeps import DRIFT, Kick, Substep
 from peptides import bonded_apart, end_of, moving, peptide, positions_of
+from places import platform_for
 from starts import context_of, force_of, system_of
 
 
@@ -192,10 +192,10 @@ def test_bonds_between_rigid_and_frozen_particles_are_nested_with_their_bodies()
 
 @pytest.mark.opencl
 def test_the_device_has_inner_steps_exactly_where_the_host_has_them():
-    platform, properties = platform_for("device")
+    platform, properties = platform_for("native")
     _, system, x = peptide("None")
     for h, fast, nested in ((0.004, "auto", True), (0.0005, "auto", False), (0.004, None, False)):
-        integrator = rb.ExactRigidBodyIntegrator(h, "S2_2", fast=fast, engine="device")
+        integrator = rb.ExactRigidBodyIntegrator(h, "S2_2", fast=fast, engine="native")
         _context = context_of(system, integrator, x, platform=platform, properties=properties)
         integrator.step(1)
         assert (integrator.timings.fast_evaluations > 0) == nested

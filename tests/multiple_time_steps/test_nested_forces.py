@@ -255,7 +255,7 @@ def test_a_group_that_has_a_kick_of_its_own_is_not_nested_too():
         moving(system, places, 0.001, groups, fast=(1,), innerSteps=2)[0].step(1)
 
 
-@pytest.mark.parametrize("engine", ["host", pytest.param("device", marks=pytest.mark.opencl)])
+@pytest.mark.parametrize("engine", ["host", pytest.param("native", marks=pytest.mark.opencl)])
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -236,7 +236,7 @@ def test_a_box_that_is_too_small_for_rods_is_refused():
                 integrator.step(0)
 
 
-@pytest.mark.parametrize("engine", ["host", "device"])
+@pytest.mark.parametrize("engine", ["host", "native"])
 @pytest.mark.parametrize("scheme", ["BAOAB", "W2_3m"])
 @pytest.mark.parametrize("frequency", [1, 3])
 def test_a_barostat_ends_a_run_where_the_box_becomes_too_small(frequency, scheme, engine):

@@ -7,8 +7,8 @@ import pytest
 import openmm_exactrb as rb
 import starts
 from force_laws import assert_lawful, context_of, evaluated
-from on_device import platform_for
 from openmm_exactrb.potentials import dipole_rod_forces, rod_length
+from places import platform_for
 
 STATE = {"seed": 3, "perturbation": 0.08, "density": 0.6, "dipole": (0.0, 0.6, 0.8), "epsilon": 1e-9}
 
@@ -70,7 +70,7 @@ def test_what_is_added_within_the_cutoff_is_lawful(rng):
 def test_a_device_has_the_energies_and_forces_of_reference(boundary):
     _, system, positions = rb.dipole_fluid(27, kernel="openmm", boundary=boundary, **STATE | {"epsilon": 1.0})
     energy, forces = evaluated(context_of(system, positions))
-    platform, properties = platform_for("device")
+    platform, properties = platform_for("native")
     on_device, forces_there = evaluated(
         starts.context_of(system, openmm.VerletIntegrator(0.001), positions, platform=platform, properties=properties)
     )

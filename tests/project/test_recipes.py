@@ -17,13 +17,13 @@ from openmm import unit
 
 import openmm_exactrb as rb
 import three_masses
-from on_device import device_platform
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.engines import ENGINES
 from openmm_exactrb.mechanics.fit import fit
 from openmm_exactrb.mechanics.state import State
 from orders import slope
 from peptides import peptide
+from places import device_platform
 from starts import context_of, simulation_of
 
 ROOT = Path(__file__).parents[2]
@@ -233,7 +233,7 @@ def test_names_are_in_the_files_that_the_page_gives():
 
 
 def test_an_engine_is_one_record(monkeypatch):
-    monkeypatch.setitem(ENGINES, "device", replace(ENGINES["device"], advice=lambda *_: (False, "not here")))
+    monkeypatch.setitem(ENGINES, "native", replace(ENGINES["native"], advice=lambda *_: (False, "not here")))
     monkeypatch.setitem(ENGINES, "small", ENGINES["host"])  # what the recipe puts there goes with it
     integrator = typed("An engine")["integrator"]
     _context = moving(integrator)
@@ -260,10 +260,10 @@ def test_a_reporter_asks_the_integrator():
 @pytest.mark.opencl
 def test_a_device_stage_is_one_method_and_moves_as_on_the_host():
     names = typed("A substep")
-    names["Friction"].device_moves = typed("A device stage")["device_moves"]
+    names["Friction"].kernel_moves = typed("A device stage")["kernel_moves"]
     _, system, positions = rb.rigid_water(3)
     found = []
-    for engine in ("host", "device"):
+    for engine in ("host", "native"):
         integrator = rb.ExactRigidBodyIntegrator(0.001, names["damped"], engine=engine)
         platform = device_platform(["OpenCL"])
         context = openmm.Context(copy.deepcopy(system), integrator, platform, {"Precision": "double"})
@@ -279,7 +279,7 @@ def test_a_device_stage_is_one_method_and_moves_as_on_the_host():
 def test_a_substep_without_a_device_stage_is_left_to_the_host():
     damped = typed("A substep")["damped"]
     with pytest.raises(ValueError, match="has no code for a device"):
-        rb.ExactRigidBodyIntegrator(0.001, damped, engine="device")
+        rb.ExactRigidBodyIntegrator(0.001, damped, engine="native")
 
 
 PARSED = """

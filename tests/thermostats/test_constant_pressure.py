@@ -66,7 +66,7 @@ def test_an_ideal_gas_has_the_volume_of_its_law():
     assert (np.abs(blocks.mean(axis=0) - 300.0) < 4.0 * blocks.std(axis=0, ddof=1) / np.sqrt(10)).all()
 
 
-@pytest.mark.parametrize("engine", ["host", pytest.param("device", marks=pytest.mark.opencl)])
+@pytest.mark.parametrize("engine", ["host", pytest.param("native", marks=pytest.mark.opencl)])
 @pytest.mark.parametrize("flexible", [False, True])
 def test_a_barostat_acts_where_the_next_kick_does(flexible, engine):
     """W2_3m ends its steps before: its boxes are those of the same steps from kick to kick, and bodies come back."""

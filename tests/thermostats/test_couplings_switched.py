@@ -8,9 +8,9 @@ import pytest
 from openmm import unit
 
 import openmm_exactrb as rb
-from on_device import platform_for
 from openmm_exactrb.context.updates import acting_updates, names_of_updates
 from openmm_exactrb.thermostats import HybridMonteCarlo, Langevin
+from places import platform_for
 
 BAR, KELVIN = unit.bar, unit.kelvin
 MEMBRANE = openmm.MonteCarloMembraneBarostat
@@ -31,7 +31,7 @@ WITHOUT_AXES = {
         openmm.Vec3(1, 1, 1) * BAR, 280 * KELVIN, False, False, False, n or 2
     )
 }
-BOTH = pytest.mark.parametrize("engine", ["host", pytest.param("device", marks=pytest.mark.opencl)])
+BOTH = pytest.mark.parametrize("engine", ["host", pytest.param("native", marks=pytest.mark.opencl)])
 COLLISIONS = openmm.AndersenThermostat.CollisionFrequency()
 
 

@@ -8,8 +8,8 @@ import pytest
 
 import openmm_exactrb as rb
 import starts
-from on_device import platform_for
 from openmm_exactrb.openmm_access.molecules import in_flexible_molecules
+from places import platform_for
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
 FRICTION, TURNING, FLEXIBLE, H = 2.0, 3.0, 7.0, 0.01
@@ -60,7 +60,7 @@ def norm(m):
     return np.linalg.norm(m, axis=0)
 
 
-@pytest.mark.parametrize("engine", ["host", pytest.param("device", marks=pytest.mark.opencl)])
+@pytest.mark.parametrize("engine", ["host", pytest.param("native", marks=pytest.mark.opencl)])
 def test_momenta_fade_with_the_friction_of_their_molecule(engine):
     """Without noise, at 0 K; what is free turns with an angular momentum of the same norm."""
     context = context_of(engine)
@@ -73,7 +73,7 @@ def test_momenta_fade_with_the_friction_of_their_molecule(engine):
     np.testing.assert_allclose(norm(m1), norm(m) * np.exp(-rates * 4 * H), rtol=1e-12)
 
 
-@pytest.mark.parametrize("engine", ["host", pytest.param("device", marks=pytest.mark.opencl)])
+@pytest.mark.parametrize("engine", ["host", pytest.param("native", marks=pytest.mark.opencl)])
 def test_it_can_be_changed_and_taken_back(engine):
     context = context_of(engine, None)
     integrator = context.getIntegrator()
@@ -86,7 +86,7 @@ def test_it_can_be_changed_and_taken_back(engine):
         np.testing.assert_allclose(P1, P * np.exp(-np.where(flexible, expected, FRICTION) * H), rtol=1e-12)
 
 
-@pytest.mark.parametrize("engine", ["host", pytest.param("device", marks=pytest.mark.opencl)])
+@pytest.mark.parametrize("engine", ["host", pytest.param("native", marks=pytest.mark.opencl)])
 def test_a_checkpoint_of_a_run_with_one_friction_is_continued_with_two(engine):
     one = context_of(engine, None)
     one.getIntegrator().step(1)
@@ -106,7 +106,7 @@ def test_the_same_friction_given_twice_has_the_bits_of_one():
     np.testing.assert_array_equal(*(momenta(context)[2] for context in runs))
 
 
-@pytest.mark.parametrize("engine", ["host", pytest.param("device", marks=pytest.mark.opencl)])
+@pytest.mark.parametrize("engine", ["host", pytest.param("native", marks=pytest.mark.opencl)])
 def test_the_temperature_is_that_of_the_thermostat_in_both(engine):
     """Momenta drawn anew in each step, with hardly a friction or a huge one."""
     context = context_of(engine, 1e6, kelvin=300.0)
@@ -145,7 +145,7 @@ def test_a_rigid_pair_of_atoms_is_one_body_on_every_engine():
         system.addForce(force)
     x = [(2.0, 0.0, 0.0), (2.11, 0.0, 0.0), (0.0, 0.0, 0.0), (0.15, 0.0, 0.0), (0.15, 0.1, 0.0)]
     slowed = []
-    for engine in ("host", "device"):
+    for engine in ("host", "native"):
         integrator = rb.ExactRigidBodyLangevinIntegrator(
             0.0, FRICTION, 0.004, "BAOAB", flexibleFriction=FLEXIBLE, engine=engine
         )

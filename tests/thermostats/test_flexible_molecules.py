@@ -9,8 +9,8 @@ import pytest
 from scipy import stats
 
 import openmm_exactrb as rb
-from on_device import platform_for
 from peptides import R, moving, peptide, positions_of, violations
+from places import platform_for
 from starts import context_of, velocities_of
 
 
@@ -228,7 +228,7 @@ def stretched(scheme, h, engine, beside=None):
     return 0.5 * (momentum[1] - momentum[0]), positions_of(context)
 
 
-@pytest.mark.parametrize("engine", ["host", pytest.param("device", marks=pytest.mark.opencl)])
+@pytest.mark.parametrize("engine", ["host", pytest.param("native", marks=pytest.mark.opencl)])
 @pytest.mark.parametrize(("scheme", "h"), [("W2_3m", 0.024), ("BAOA", 0.006)])
 def test_a_balance_of_fast_and_slow_forces_adds_no_momentum(scheme, h, engine):
     """The bond pulls throughout a step, what stretches it in kicks alone: where a step ends both must have done alike.
@@ -241,6 +241,6 @@ def test_a_balance_of_fast_and_slow_forces_adds_no_momentum(scheme, h, engine):
 
 @pytest.mark.opencl
 def test_devices_end_a_step_where_the_host_does():
-    host, device = (stretched("W2_3m", 0.024, engine, "device")[1] for engine in ("host", "device"))
+    host, device = (stretched("W2_3m", 0.024, engine, "native")[1] for engine in ("host", "native"))
     assert abs(host[2, 2] - 2.0) > 0.01  # the body has fallen
     np.testing.assert_allclose(device, host, rtol=0.0, atol=1e-10)

@@ -9,13 +9,13 @@ from equilibrium import arrays
 from openmm import unit
 
 import openmm_exactrb as rb
-from on_device import device_platform
 from openmm_exactrb import schemes
 from openmm_exactrb.openmm_access import platforms
 from openmm_exactrb.tuning import Choice
 from openmm_exactrb.tuning.benchmark import Benchmark, Method
 from openmm_exactrb.tuning.budget import Budget
 from openmm_exactrb.tuning.initial_state import conservative, initial_state, thermalised
+from places import device_platform
 from small_molecules import MOLECULES, placed, system_of
 from starts import simulation_of
 
@@ -64,7 +64,7 @@ def test_a_scheme_that_cannot_be_run_is_not_called_unstable(droplet):
 
 
 @pytest.mark.opencl
-@pytest.mark.parametrize(("reason", "engine"), [(None, "device"), ("a CPU", "host")])
+@pytest.mark.parametrize(("reason", "engine"), [(None, "native"), ("a CPU", "host")])
 def test_what_is_timed_is_what_a_choice_will_run(droplet, monkeypatch, reason, engine):
     device_platform(["OpenCL"])
     monkeypatch.setattr(platforms, "no_gpu", lambda context: reason)

@@ -20,7 +20,7 @@ def _marks(settings: Settings) -> tuple[float, ...]:
 def _declare(integrator: openmm.CustomIntegrator, settings: Settings) -> None:
     """Give an integrator its variables; one of the library stores the state itself."""
     if of_library(integrator):
-        variables.declare_device(integrator, settings.own_numbers)
+        variables.declare_native(integrator, settings.own_numbers)
     else:
         variables.declare(integrator, settings.own_numbers, settings.memory)
 

@@ -9,12 +9,12 @@ import numpy as np
 
 from openmm_exactrb.context.variables import INNER, SHOWN, PerDof, Storage, by_library, own_numbers
 from openmm_exactrb.engines.engine import Settings
-from openmm_exactrb.engines.library import Device, library, of_library
+from openmm_exactrb.engines.library import Machine, library, of_library
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.state import Force, State
 from openmm_exactrb.support.types import Array
 
-# The bit of changed parameters of forces, see `Device.changes`.
+# The bit of changed parameters of forces, see `Machine.changes`.
 _FORCES = 4
 
 
@@ -23,7 +23,7 @@ class ProgramStorage:
 
     def __init__(self, integrator: Any, bodies: RigidBodies, memory: int | None) -> None:
         n, turning = len(bodies), bodies.n_turning
-        self._device, self._memory = Device(library(), integrator), memory or 0
+        self._machine, self._memory = Machine(library(), integrator), memory or 0
         #: The first number of an integrator that holds a state in this storage.
         self.mark = by_library(own_numbers(integrator))
         self._shapes = {"R": (2, 3, n), "P": (2, 3, n), "q": (2, 4, turning), "m": (2, 3, turning)}
@@ -34,7 +34,7 @@ class ProgramStorage:
         ]
         arrays += [(self._last(k, part), self._of_forces[part]) for k in range(self._memory) for part in (0, 1)]
         lines = (f"array {name} 8 {max(int(np.prod(shape)), 1)} saved" for name, shape in arrays)
-        self._device.load("\n".join(lines) + "\n")
+        self._machine.load("\n".join(lines) + "\n")
 
     def write(self, state: State, which: str = SHOWN) -> None:
         """Write the double-doubles of a state."""
@@ -64,14 +64,14 @@ class ProgramStorage:
 
     def forces_changed(self) -> bool | None:
         """Return whether parameters of forces have changed since the last call, of which OpenMM informs the library."""
-        return bool(self._device.changes(clear=_FORCES) & _FORCES)
+        return bool(self._machine.changes(clear=_FORCES) & _FORCES)
 
     def _upload(self, name: str, values: Array) -> None:
         if values.size:
-            self._device.upload(name, values)
+            self._machine.upload(name, values)
 
     def _download(self, name: str, shape: tuple[int, ...]) -> Array:
-        return self._device.download(name, np.empty(shape)) if np.prod(shape) else np.empty(shape)
+        return self._machine.download(name, np.empty(shape)) if np.prod(shape) else np.empty(shape)
 
     def _name(self, which: str, name: str) -> str:
         return f"host_{which}{name}"

@@ -9,4 +9,4 @@ from openmm_exactrb.engines.catalogue import ENGINES
 
 @pytest.fixture(autouse=True)
 def host_is_advised(monkeypatch):
-    monkeypatch.setitem(ENGINES, "device", replace(ENGINES["device"], advice=lambda *_: (False, "the host is tested")))
+    monkeypatch.setitem(ENGINES, "native", replace(ENGINES["native"], advice=lambda *_: (False, "the host is tested")))

@@ -225,8 +225,8 @@ def test_the_device_makes_the_inner_steps_of_the_host():
         system.addForce(force)
     x = np.array([[0.0, 0, 0], [0.109, 0, 0], [0, 0.5, 0], [0.109, 0.5, 0]])
     ends = []
-    for engine in ("host", "device"):
-        integrator, context = moving(openmm.XmlSerializer.clone(system), x, engine=engine, beside="device")
+    for engine in ("host", "native"):
+        integrator, context = moving(openmm.XmlSerializer.clone(system), x, engine=engine, beside="native")
         for h in (0.0005, 0.002, 0.004):
             integrator.setStepSize(h)
             integrator.step(2)

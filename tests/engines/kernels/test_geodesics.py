@@ -7,8 +7,8 @@ from kernel_functions import U, sum_of
 
 import geodesics
 from benchmarks.constraints.clusters import CLUSTERS, group_of, lengths_of, velocities
-from openmm_exactrb.engines.device.flexible import constraints
-from openmm_exactrb.engines.device.flexible.blocks import Group, blocks_of
+from openmm_exactrb.engines.native.flexible import constraints
+from openmm_exactrb.engines.native.flexible.blocks import Group, blocks_of
 from openmm_exactrb.mechanics.clusters import sorted_into_kinds
 
 #: Clusters of up to six atoms: stars of each size, and other graphs.

@@ -1,1 +1,0 @@
-"""The device engine: programs of fused kernels, executed by an OpenMM integrator that contains no physics."""

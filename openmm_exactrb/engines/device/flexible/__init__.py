@@ -1,1 +1,0 @@
-"""Flexible molecules on a device: blocks of clusters, tables of terms, and launches of inner steps."""

@@ -1,0 +1,1 @@
+"""The native engine: programs of fused kernels, executed by an OpenMM integrator that contains no physics."""

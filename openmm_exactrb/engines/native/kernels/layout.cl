@@ -1,0 +1,22 @@
+// Columns of the tables of flexible molecules, and the type `fine` (float or double) of the numbers of most terms.
+typedef FINE fine;
+#define LARGEST_FORCE 1e9f
+#define NOT_A_NUMBER (0.0/0.0)
+
+// The kinds of moves in openmm_exactrb.moves, and the columns of the table of moves.
+enum { DRIFT = 0, KICK = 1, EXCHANGE = 2, LAST_KICK = 3, REMEMBER = 4, DISPLACE = 5, DISPLACED_KICK = 6, FAST_KICK = 7 };
+enum { OP, NUMBER_OF_MOVE, FIRST_NUMBER, NUMBERS_OF_MOVE, MOVE_ROW };
+// Indices of the friction factor of translation among the numbers of a heat exchange, for isolated bodies and for
+// bodies in flexible molecules. The amplitude of the noise follows each factor.
+enum { FADE = 1, FADE_OF_FLEXIBLE = 5 };
+// The position of an atom at the last heat exchange, its velocities before and after this exchange, and its velocity before
+// successive exchanges.
+enum { AT_EXCHANGE, BEFORE_EXCHANGE, AFTER_EXCHANGE, BEFORE_EXCHANGES };
+#define EXCHANGED(which, atom) (exchanged+3*((which)*ALL_ATOMS+(atom)))
+// Bits for the actions of a launch in addition to its moves.
+enum { MOVES_ATOMS = 1, PLACES_ATOMS = 2, PROJECTS = 4, SHOWS_VELOCITIES = 8 };
+
+enum { FIRST_CLUSTER, CLUSTERS, FIRST_PLACE, PLACES, OWN, FIRST_TERMS, BLOCK_ROW = FIRST_TERMS+12 };
+enum { FIRST_ATOM, ATOMS_OF_CLUSTER, GRAPH, ROOM, CLUSTER_ROW };
+// The numbers at the start of the table of a graph; see openmm_exactrb.engines.native.flexible.constraints.
+enum { CONSTRAINTS, ENTRIES, PRODUCTS, STRIDE, FIRST_LENGTH, GRAPH_HEAD };

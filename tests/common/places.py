@@ -1,0 +1,46 @@
+"""Where tests of an engine run: the host on Reference, the device on a GPU, or on the CPU by OpenCL."""
+
+import os
+from functools import cache
+
+import openmm
+import pytest
+
+from openmm_exactrb.openmm_access.platforms import DEVICES, platforms
+
+REFERENCE = openmm.Platform.getPlatform("Reference")
+
+
+def device_platform(names=DEVICES):
+    """Return the first platform of these that has a device here; skip the test if there is none.
+
+    If OPENMM_DEFAULT_PLATFORM names one of them, it is that one or none.
+    """
+    names = tuple(name for name in names if name == os.environ.get("OPENMM_DEFAULT_PLATFORM")) or tuple(names)
+    found, missing = _first(names)
+    return found or pytest.skip(missing)
+
+
+@cache
+def _first(names):
+    """Return the first platform of these that has a device, or None and what is missing."""
+    present = {platform.getName(): platform for platform in platforms()}
+    system = openmm.System()
+    system.addParticle(1.0)
+    system.addParticle(1.0)
+    missing = []
+    for name in names:
+        try:
+            openmm.Context(system, openmm.VerletIntegrator(0.001), present[name])
+        except KeyError:
+            missing.append(f"OpenMM has no platform {name}")
+        except openmm.OpenMMException as error:
+            missing.append(f"no device for {name}: {error}")
+        else:
+            return present[name], ""
+    return None, "; ".join(missing)
+
+
+def platform_for(engine, precision="double"):
+    """Return the platform and its properties for an engine."""
+    return (device_platform(), {"Precision": precision}) if engine == "native" else (REFERENCE, {})
