@@ -210,12 +210,12 @@ def _steps(solute: str) -> str:
         of_defaults = masses == "plain" and integrator != "W2_3m" and (integrator, fs) != (LFM, "2.0")
         if len(some) < 2 or of_defaults:  # no error, or for another table
             continue
-        scheme, _, device = integrator.partition(" ")
+        scheme, _, platform = integrator.partition(" ")
         how = [*([constraints] if constraints != "HBonds" else []), *(["1 bar"] if ensemble == "NPT" else [])]
         of_all, *of_solute = (f"{float(part):g}/ps" for part in friction.split(":"))
         how += [of_all] if friction != "5.0" else []
         how += [f"solute {part}" for part in of_solute]
-        how += [f"device ({device})"] if device else []
+        how += [f"native engine ({platform})"] if platform else []
         label = ", ".join([THEIRS.get(scheme, f"`{scheme}`"), *how])
         # Constrained bonds have no energy.
         unknown = set() if constraints == "HBonds" else {"bonds"}

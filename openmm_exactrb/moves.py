@@ -19,7 +19,7 @@ MOVE = re.compile(r"\bDEVICE\s+(?:inline\s+)?void\s+(\w+)\s*\(\s*Body\s*\*\s*\w+
 
 
 class Op(IntEnum):
-    """The kinds of moves, with the numbers that the kernels of the device use."""
+    """The kinds of moves, with the numbers that the kernels use."""
 
     DRIFT = 0  # free motion
     KICK = 1  # change of momenta by the present forces
@@ -88,15 +88,15 @@ class Move:
 
 
 def of_substep(substep: Any, part: float) -> tuple[Move, ...]:
-    """Return the moves of a substep over a fraction of the step; raise ValueError if a device does not support it."""
+    """Return the moves of a substep over a fraction of the step; raise ValueError if no kernel performs it."""
     moves: tuple[Move, ...] | None = substep.kernel_moves(part)
     if moves is None:
-        raise ValueError(f"the substep {substep!r} has no code for a device: define its method kernel_moves()")
+        raise ValueError(f"the substep {substep!r} has no kernel: define its method kernel_moves()")
     if why := mismatch(substep, "kernel_moves", "bind"):
         raise ValueError(why)
     if any(move.op == Op.OWN and not MOVE.search(move.text) for move in moves):
         raise ValueError(
-            f"the device code of {substep!r} must define `DEVICE inline void NAME(Body* body, double tau)`: correct "
+            f"the kernel text of {substep!r} must define `DEVICE inline void NAME(Body* body, double tau)`: correct "
             "the text in its method kernel_moves()"
         )
     return moves

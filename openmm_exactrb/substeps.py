@@ -1,7 +1,7 @@
 """Substeps: the parts of a step, with their flows and properties.
 
 A scheme is a sequence of substeps, each with its fraction of the step. A substep defines its flow, its force
-evaluations, whether it commutes with other substeps, its matrix for a harmonic oscillator, and its moves on a device.
+evaluations, whether it commutes with other substeps, its matrix for a harmonic oscillator, and its moves in kernels.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class Substep:
         )
 
     def kernel_moves(self, part: float) -> tuple[Move, ...] | None:
-        """Return the moves over a fraction of the step, or None if a device does not support the substep."""
+        """Return the moves over a fraction of the step, or None if no kernel performs the substep."""
         return None
 
     def __str__(self) -> str:

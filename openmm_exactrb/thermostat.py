@@ -29,7 +29,7 @@ _STREAMS = 2**22  # a seed and a stream fit into the 53 bits of an OpenMM variab
 
 
 class Factors(NamedTuple):
-    """The device kernel that computes the two factors of a heat exchange, a function in kernels/thermostats.cl.
+    """The kernel that computes the two factors of a heat exchange, a function in kernels/thermostats.cl.
 
     The record contains the name of the kernel and its preprocessor definitions. Its persistent variables are those of
     ``Thermostat.persistent``.
@@ -53,7 +53,7 @@ class Thermostat(ABC):
     heat : str or None
         Name of the persistent variable that accumulates the energy supplied to the bodies.
     factors : Factors, optional
-        The device kernel that computes the factors, if an exchange multiplies momenta by factors.
+        The kernel that computes the factors, if an exchange multiplies momenta by factors.
     diverged : str
         The message if these factors are not finite.
     flows : tuple of str
@@ -136,7 +136,7 @@ class Thermostat(ABC):
         return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
 
     def kernel_exchange(self, tau: float, freedom: tuple[int, int]) -> tuple[float, ...] | None:
-        """Return the numbers that device kernels need for an exchange over tau (ps), or None if there is no kernel.
+        """Return the numbers that kernels need for an exchange over tau (ps), or None if there is no kernel.
 
         `freedom` contains the degrees of freedom of translation and of rotation.
         """

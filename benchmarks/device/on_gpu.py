@@ -5,8 +5,8 @@ The script runs in a checkout and needs a C++ compiler for the library of the na
     pip install -e ".[test]" "openmm-cuda-12>=8.6,<8.7" openmmtools     (or openmm-cuda-13, openmm-hip-6)
     python benchmarks/device/on_gpu.py --platform CUDA --minutes 9
 
-The script first runs the tests of the device on the platform. It then measures each system in rounds in which the
-integrators alternate. Integrators of this package run on the device, or on both engines with --engines device host.
+The script first runs tests of the native engine on the platform. It then measures each system in rounds in which the
+integrators alternate. Integrators of this package use the native engine, or both engines with --engines native host.
 Rows are written to the CSV file after each system, so that an interrupted run keeps its results. "ms" is the median
 time of a force evaluation. "ratio" is relative to VerletIntegrator, or to LangevinMiddleIntegrator for integrators with
 a thermostat. "ns/day" assumes 1 fs between force evaluations of water, and 5 fs for dipoles. Proteins have hydrogens of
@@ -205,7 +205,7 @@ class Measurement:
         print(*row, flush=True)
 
     def test(self):
-        """Run tests of the device on the platform, for a third of the time at most."""
+        """Run tests of the native engine on the platform, for a third of the time at most."""
         command = [sys.executable, "-m", "pytest", "-q", "-x", "tests/engines/native", "-k", TESTED]
         environment = os.environ | {"OPENMM_DEFAULT_PLATFORM": self.options.platform}
         begin = time.perf_counter()

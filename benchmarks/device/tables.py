@@ -31,7 +31,7 @@ def device_costs() -> str:
         (
             _NAMES[system].format(molecules),
             f"{float(found['Verlet']['ms']):.3f}",
-            *(f"{float(found[f'{scheme} device']['ratio']):.2f}" for scheme in _SCHEMES),
+            *(f"{float(found[f'{scheme} native']['ratio']):.2f}" for scheme in _SCHEMES),
         )
         for (system, molecules), found in _by_system().items()
         if system not in _PROTEINS
@@ -49,5 +49,5 @@ def device_proteins() -> str:
         theirs, ours = (float(found[name]["ns/day"]) for name in ("LangevinMiddle", "W2_3m native"))
         cells = (f"{float(row['ms']):.3f}, {float(row['ns/day']):.0f}" for row in some)
         body.append((_NAMES[system].format(molecules), *cells, f"{ours / theirs:.2f}"))
-    names = (f"`{name.removesuffix(' device')}`, {fs} fs" for name, fs in _OF_PROTEINS.items())
+    names = (f"`{name.removesuffix(' native')}`, {fs} fs" for name, fs in _OF_PROTEINS.items())
     return table(("ms per evaluation, ns per day", *names, "throughput of `W2_3m`"), body)

@@ -1,6 +1,6 @@
 """Whether methods that describe one flow in several forms belong together.
 
-The flow of a substep, for example, is a function of a state, moves on a device, and a matrix for an oscillator. A class
+The flow of a substep, for example, is a function of a state, moves in kernels, and a matrix for an oscillator. A class
 that overrides one form and inherits another one has two different flows.
 """
 

@@ -108,7 +108,7 @@ class NoseHooverChain(Thermostat):
 
     @property
     def factors(self) -> Factors:  # type: ignore[override]
-        """The device kernel of the chains, with their length and their substeps as macros."""
+        """The kernel of the chains, with their length and their substeps as macros."""
         weights = WEIGHTS[self.numYoshidaSuzuki]
         sizes = ("CHAIN", self.chainLength), ("REPETITIONS", self.numMTS), ("N_WEIGHTS", len(weights))
         return Factors("nose_hoover", (*sizes, ("WEIGHTS", ", ".join(map(repr, weights)))))

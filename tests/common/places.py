@@ -1,4 +1,4 @@
-"""Where tests of an engine run: the host on Reference, the device on a GPU, or on the CPU by OpenCL."""
+"""Where tests of an engine run: the host on Reference, the native engine on a GPU, or on the CPU by OpenCL."""
 
 import os
 from functools import cache

@@ -88,7 +88,7 @@ def test_states_of_ours_are_loaded_by_openmms_integrators(tmp_path, theirs, ours
 
 @pytest.mark.opencl
 @pytest.mark.parametrize("theirs", THEIRS)
-def test_states_of_openmms_integrators_are_loaded_on_the_device(theirs):
+def test_states_of_openmms_integrators_are_loaded_by_the_native_engine(theirs):
     first, second = water(THEIRS[theirs]()), water(OURS["S2_2"](engine="native"), platform_for("native")[0])
     first.step(2)
     second.step(1)

@@ -34,7 +34,7 @@ def note_of(integrator):
     return integrator.engineNote()
 
 
-# -- the device refuses what only the host knows ----------------------------------------------------------------------
+# -- the kernels refuse what only the host knows ----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("substep", SUBSTEPS.values(), ids=SUBSTEPS)

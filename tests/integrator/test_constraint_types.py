@@ -201,7 +201,7 @@ def test_the_identity_of_a_run_contains_them():
 
 
 @pytest.mark.parametrize("name", MAKERS)
-def test_the_device_does_not_serve_them_and_auto_says_so(name):
+def test_the_native_engine_does_not_serve_them_and_auto_says_so(name):
     with pytest.raises(ValueError, match="supports only constraints of the System, not <function on_a_plane"):
         MAKERS[name](0.001, constraints=[on_a_plane], engine="native")
     integrator = MAKERS[name](0.001, constraints=[on_a_plane])

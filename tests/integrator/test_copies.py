@@ -101,7 +101,7 @@ def test_copies_have_the_same_trajectory_to_the_last_bit(name):
 
 
 @pytest.mark.parametrize("name", ["default", "thermostat", "ExactRigidBodyNoseHooverIntegrator"])
-def test_copies_have_the_same_trajectory_on_the_device(name):
+def test_copies_have_the_same_trajectory_with_the_native_engine(name):
     integrator, where = seeded(MOVING[name][0], engine="native"), platform_for("native")
     end = ends(name, seeded(integrator), *where)
     before = openmm.XmlSerializer.clone(integrator)

@@ -191,7 +191,7 @@ def test_bonds_between_rigid_and_frozen_particles_are_nested_with_their_bodies()
 
 
 @pytest.mark.opencl
-def test_the_device_has_inner_steps_exactly_where_the_host_has_them():
+def test_the_native_engine_has_inner_steps_exactly_where_the_host_has_them():
     platform, properties = platform_for("native")
     _, system, x = peptide("None")
     for h, fast, nested in ((0.004, "auto", True), (0.0005, "auto", False), (0.004, None, False)):

@@ -102,7 +102,7 @@ def named(page, name):
 def test_every_addition_has_one_place_that_exists():
     table = re.findall(r"^\| \[(?:a|an) (.*)\]\(#(.*)\) \| (.*) \|$", PAGE, flags=re.M)
     assert {name for name, *_ in table} >= {
-        "scheme", "substep", "thermostat", "rotor", "constraint type", "engine", "device stage", "reporter",
+        "scheme", "substep", "thermostat", "rotor", "constraint type", "engine", "kernel stage", "reporter",
         "command option", "potential",
     }  # fmt: skip
     for name, anchor, place in table:
@@ -258,9 +258,9 @@ def test_a_reporter_asks_the_integrator():
 
 
 @pytest.mark.opencl
-def test_a_device_stage_is_one_method_and_moves_as_on_the_host():
+def test_a_kernel_stage_is_one_method_and_moves_as_on_the_host():
     names = typed("A substep")
-    names["Friction"].kernel_moves = typed("A device stage")["kernel_moves"]
+    names["Friction"].kernel_moves = typed("A kernel stage")["kernel_moves"]
     _, system, positions = rb.rigid_water(3)
     found = []
     for engine in ("host", "native"):
@@ -272,13 +272,13 @@ def test_a_device_stage_is_one_method_and_moves_as_on_the_host():
         integrator.step(20)
         assert integrator.getEngine() == engine
         found.append([np.asarray(a) for a in integrator.bodyState()[1]])
-    for host, device in zip(*found, strict=True):
-        np.testing.assert_allclose(device, host, rtol=0.0, atol=1e-12)
+    for host, native in zip(*found, strict=True):
+        np.testing.assert_allclose(native, host, rtol=0.0, atol=1e-12)
 
 
-def test_a_substep_without_a_device_stage_is_left_to_the_host():
+def test_a_substep_without_a_kernel_stage_is_left_to_the_host():
     damped = typed("A substep")["damped"]
-    with pytest.raises(ValueError, match="has no code for a device"):
+    with pytest.raises(ValueError, match="has no kernel"):
         rb.ExactRigidBodyIntegrator(0.001, damped, engine="native")
 
 

@@ -132,7 +132,7 @@ def test_the_temperature_is_that_of_the_thermostat_in_both(engine):
 
 @pytest.mark.opencl
 def test_a_rigid_pair_of_atoms_is_one_body_on_every_engine():
-    """Next to an atom that fast forces act on, the program of a device moves the atoms of pairs one by one."""
+    """Next to an atom that fast forces act on, the program of the native engine moves the atoms of pairs one by one."""
     system = openmm.System()
     for mass in (14.0, 14.0, 12.0, 12.0, 1.0):
         system.addParticle(mass)

@@ -240,7 +240,7 @@ def test_a_balance_of_fast_and_slow_forces_adds_no_momentum(scheme, h, engine):
 
 
 @pytest.mark.opencl
-def test_devices_end_a_step_where_the_host_does():
+def test_the_native_engine_ends_a_step_where_the_host_does():
     host, device = (stretched("W2_3m", 0.024, engine, "native")[1] for engine in ("host", "native"))
     assert abs(host[2, 2] - 2.0) > 0.01  # the body has fallen
     np.testing.assert_allclose(device, host, rtol=0.0, atol=1e-10)

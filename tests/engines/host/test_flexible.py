@@ -213,7 +213,7 @@ def test_a_thermostat_and_a_barostat_leave_the_constraints_and_the_rest_alone():
 
 
 @pytest.mark.opencl
-def test_the_device_makes_the_inner_steps_of_the_host():
+def test_the_native_engine_makes_the_inner_steps_of_the_host():
     system, bond, charges = openmm.System(), openmm.HarmonicBondForce(), openmm.NonbondedForce()
     for i, mass in enumerate((12.0, 1.0, 12.0, 1.0)):
         system.addParticle(mass)

@@ -1,4 +1,4 @@
-"""A lipid and a protein of OpenMM's CHARMM force field on the device: all of its bonded forces have kernels."""
+"""A lipid and a protein of OpenMM's CHARMM force field in kernels: all of its bonded forces have kernels."""
 
 import io
 from pathlib import Path

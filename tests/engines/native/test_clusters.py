@@ -1,4 +1,4 @@
-"""Clusters of any size and graph move on the device as on the host, with tables for each graph and not each cluster."""
+"""Clusters of any size and graph move in kernels as on the host, with tables for each graph and not each cluster."""
 
 import numpy as np
 import openmm

@@ -1,4 +1,4 @@
-"""The device in a Context: what users set, what OpenMM does between steps, what fails, and what is saved."""
+"""The native engine in a Context: what users set, what OpenMM does between steps, what fails, and what is saved."""
 
 import copy
 import sys
@@ -230,7 +230,7 @@ def test_a_new_context_continues_with_the_same_bits(box, scheme, how):
 
 
 @pytest.mark.parametrize("first", [True, False])
-def test_auto_continues_a_run_of_the_device(box, first, monkeypatch):
+def test_auto_continues_a_run_of_the_native_engine(box, first, monkeypatch):
     """To the last bit, whether or not the engine was chosen before."""
     scheme = "W2_1" if first else "S2_2"
     one = on_device(box, make(scheme))

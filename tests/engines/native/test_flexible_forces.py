@@ -1,4 +1,4 @@
-"""Fast forces on the device are those of OpenMM's Reference platform, in blocks of any size."""
+"""Fast forces in kernels are those of OpenMM's Reference platform, in blocks of any size."""
 
 import numpy as np
 import openmm

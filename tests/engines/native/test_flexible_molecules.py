@@ -1,4 +1,4 @@
-"""Flexible molecules on the device move as on the host: constraints, inner steps, thermostats, and what is refused."""
+"""Flexible molecules in kernels move as on the host: constraints, inner steps, thermostats, and what is refused."""
 
 import copy
 
@@ -20,7 +20,7 @@ DOUBLE, MIXED = 1e-12, 1e-6
 
 
 def moved(start, make, n=5, **options):
-    """Return how far positions (nm) of host and device are apart behind n steps, and the Context of the device."""
+    """Return how far positions (nm) of both engines are apart behind n steps, and the Context of the native engine."""
     _, system, x = start
     host, device = pair(system, x, make, **options)
     for context in (host, device):
@@ -213,7 +213,7 @@ def test_the_balance_with_fast_groups_without_a_kernel_is_refused_where_drifts_e
 
 
 def refusal(system, x, **options):
-    """Return what the integrator says when the device is asked for."""
+    """Return what the integrator says when the native engine is asked for."""
     integrator = rb.ExactRigidBodyIntegrator(0.002, engine="native", **({"scheme": "S2_2"} | options))
     context = openmm.Context(copy.deepcopy(system), integrator, device_platform())
     context.setPositions(x)

@@ -1,4 +1,4 @@
-"""Force-gradient kicks of flexible molecules on the device are those of the host: along geodesics, with inner steps."""
+"""Force-gradient kicks of flexible molecules in kernels are those of the host: along geodesics, with inner steps."""
 
 import numpy as np
 import openmm

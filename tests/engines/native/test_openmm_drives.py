@@ -1,4 +1,4 @@
-"""OpenMM's samplers and minimisers drive the device as they drive the host: the same numbers, to roundoff."""
+"""OpenMM's samplers and minimisers drive the native engine as they drive the host: the same numbers, to roundoff."""
 
 import random
 

@@ -1,4 +1,4 @@
-"""The temperature that OpenMM's reporters ask for on the device, and the energy balance of its thermostats."""
+"""The temperature that OpenMM's reporters ask for with the native engine, and the energy balance of its thermostats."""
 
 import pytest
 from zoo import every_kind, pair, water

@@ -1,4 +1,4 @@
-"""Steps on the device are those of the host, to roundoff: schemes, bodies, thermostats, precisions."""
+"""Steps in kernels are those of the host, to roundoff: schemes, bodies, thermostats, precisions."""
 
 import math
 from dataclasses import dataclass
@@ -107,7 +107,7 @@ def moving_water(integrator, platform):
 
 @dataclass(frozen=True)
 class Fading(Substep):
-    """Momenta fade at a rate; all have one name for their function on the device."""
+    """Momenta fade at a rate; all have one name for their function in kernels."""
 
     rate: float
 
