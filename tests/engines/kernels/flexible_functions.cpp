@@ -46,4 +46,10 @@ void move(int clusters, double t, const int* table, const int* graphs, const dou
     }
 }
 
+// Write the four sums over atoms; `place` is the index of the heat among the numbers of a thermostat, or negative.
+void flexible_kinetic(int atoms, int place, const double* inverse, double* x, double* v, double* heat, double* sums) {
+    Flexible({{"ALL_ATOMS", std::to_string(atoms)}, {"HEAT", std::to_string(place)}, {"LIGHT", "299792.458"}})
+        .flexible_kinetic(inverse, numbers(x), numbers(v), heat, sums);
+}
+
 } // extern "C"

@@ -44,3 +44,9 @@ def pairs(numbers, low=0.0):
 def sum_of(pair):
     """Return the value of a number of the state, in mpf."""
     return mp.mpf(float(pair[0])) + mp.mpf(float(pair[1]))
+
+
+def words_of_numpy(key, counter):
+    """Return the block of words (4,) of NumPy's generator, which increments the counter before each block."""
+    before = (sum(word << 64 * k for k, word in enumerate(counter)) - 1) % 2**256
+    return np.random.Philox(key=np.array([key, 0], np.uint64), counter=before).random_raw(4)

@@ -12,6 +12,10 @@ number* numbers(double* pairs) {
     return reinterpret_cast<number*>(pairs);
 }
 
+Rigid<0> of_sums(int bodies, int heat) {
+    return Rigid<0>({{"BODIES", std::to_string(bodies)}, {"HEAT", std::to_string(heat)}, {"LIGHT", "299792.458"}});
+}
+
 } // namespace
 
 extern "C" {
@@ -56,6 +60,15 @@ void uniform(int n, const unsigned long long* word, double* number) {
 void normals(int n, const long long* key, const long long* step, const int* stream, const int* body, double* out) {
     for (int i = 0; i < n; i++)
         kernels.normals(key[i], step[i], stream[i], body[i], out+4*i);
+}
+
+// Write the four sums over bodies; `place` is the index of the heat among the numbers of a thermostat, or negative.
+void kinetic(int bodies, int place, const int* kind, const int* kinds, const double* constants, double* R, double* P,
+        double* q, double* L, double* heat, double* sums) {
+    of_sums(bodies, place).kinetic(kind, kinds, constants, numbers(R), numbers(P), numbers(q), numbers(L), heat, sums);
+}
+void total(int place, const double* sums, double* totals, double* thermostat, int adds) {
+    of_sums(0, place).total(sums, totals, thermostat, adds);
 }
 
 void add_to(int n, double* sum, const double* step) {

@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-from kernel_functions import U, pairs
+from kernel_functions import U, pairs, words_of_numpy
 from scipy import stats
 
 from openmm_exactrb.mathematics import compensated
@@ -67,12 +67,6 @@ def test_the_defect_of_a_length_is_exact_to_a_rounding_of_roundoff(kernels, d, d
 
 
 # -- random numbers ---------------------------------------------------------------------------------------------------
-
-
-def words_of_numpy(key, counter):
-    """Return the block of words (4,) of NumPy's generator, which increments the counter before each block."""
-    before = (sum(word << 64 * k for k, word in enumerate(counter)) - 1) % 2**256
-    return np.random.Philox(key=np.array([key, 0], np.uint64), counter=before).random_raw(4)
 
 
 @given(a=WORD, b=WORD)

@@ -85,7 +85,7 @@ def context_of(system, positions, integrator, *, precision="double", kelvin=300.
 
 
 def pair(system, positions, make, **options):
-    """Return Contexts of integrators make(engine=...) with the host and with kernels, from one start on one platform."""
+    """Return Contexts of integrators make(engine=...) of host and kernels, from one start on one platform."""
     host, device = (
         context_of(system, positions, make(engine=engine), kelvin=None, **options) for engine in ("host", "native")
     )
