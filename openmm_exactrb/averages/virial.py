@@ -51,7 +51,7 @@ def check_virial(context: Any, molecule: Indices, centres: Callable[[Array], Arr
                 continue
             name = f"the {type(part).__name__} {part.getName()!r} (force {number})"
             energy = _energy_of(part, state, context.getSystem(), name)
-            if _depends_on_place(energy, x, box):
+            if _depends_on_place(energy, x, box, molecule if _has_single_places(part) else np.zeros_like(molecule)):
                 raise ValueError(
                     f"{name} depends on absolute positions, so its contribution is no pressure: restrain particles "
                     "relative to a centre of mass (for example, with a CustomCentroidBondForce), or create the "
@@ -100,6 +100,15 @@ def _formulas(force: Any) -> Sequence[str]:
     return [force.getEnergyFunction()] if isinstance(force, of_positions) else []
 
 
+def _has_single_places(force: Any) -> bool:
+    """Return whether each term of the energy depends on a single place, so that molecules are not bound by it."""
+    if isinstance(force, openmm.CustomCompoundBondForce):
+        return bool(force.getNumParticlesPerBond() == 1)
+    if isinstance(force, openmm.CustomCentroidBondForce):
+        return bool(force.getNumGroupsPerBond() == 1)
+    return isinstance(force, openmm.CustomExternalForce)
+
+
 def _energy_of(force: Any, state: openmm.State, system: openmm.System, name: str) -> _Energy:
     """Return the energy of a single force, in a Context of its own."""
     groups = -1
@@ -132,12 +141,18 @@ def _energy_of(force: Any, state: openmm.State, system: openmm.System, name: str
     return energy
 
 
-def _depends_on_place(energy: _Energy, x: Array, box: Array) -> bool:
-    """Return whether an energy changes if all particles are displaced by the same vector."""
+def _depends_on_place(energy: _Energy, x: Array, box: Array, group: Indices) -> bool:
+    """Return whether an energy changes if all particles of each group (n_particles,) are displaced by the same vector.
+
+    A uniform field on ions with opposite charges depends on the place of each ion, though not on that of all ions.
+    """
     rng, edges = np.random.default_rng(0), np.linalg.norm(box, axis=1)
     before = energy(x, box)
-    shifts = (distance * edges * rng.uniform(-1.0, 1.0, 3) for distance in _DISTANCES)
-    return any(_differ(before, energy(x + shift, box), np.linalg.norm(edges + abs(shift))) for shift in shifts)
+    shifts = (distance * edges * rng.uniform(-1.0, 1.0, (group.max() + 1, 3)) for distance in _DISTANCES)
+    return any(
+        _differ(before, energy(x + shift[group], box), np.linalg.norm(edges + abs(shift).max(axis=0)))
+        for shift in shifts
+    )
 
 
 def _has_own_box(energy: _Energy, x: Array, box: Array, molecule: Indices, centres: Callable[[Array], Array]) -> bool:

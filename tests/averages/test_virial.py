@@ -63,6 +63,18 @@ def external(energy, **parameters):
     return force
 
 
+def on_two_ions(made):
+    """Return a function that makes a field on two atoms that are neutral together."""
+    kind = "Particle" if isinstance(made, openmm.CustomExternalForce) else "Bond"
+    getattr(made, f"addPer{kind}Parameter")("q")
+    for i, charge in ((2, 3.0), (7, -3.0)):
+        if isinstance(made, openmm.CustomExternalForce):
+            made.addParticle(i, [charge])
+        else:
+            made.addBond([i if isinstance(made, openmm.CustomCompoundBondForce) else made.addGroup([i])], [charge])
+    return lambda: made
+
+
 def bonds_by_formula(energy, *, periodic=False, particles=((0, 3), (5, 7), (2, 11))):
     def force():
         made = openmm.CustomCompoundBondForce(2, energy)
@@ -178,6 +190,9 @@ ABSOLUTE = {
     "weak restraint": external("1e-3*periodicdistance(x, y, z, 0.2, 1, 2)^2"),
     "gravity": external("9.8e-6*z"),
     "field on some of the charges": external("0.3*x"),
+    "field on ions of opposite charges": on_two_ions(openmm.CustomExternalForce("q*(x - 2*z)")),
+    "field by compound bonds of one atom": on_two_ions(openmm.CustomCompoundBondForce(1, "q*(y1 + z1)")),
+    "field on centres": on_two_ions(openmm.CustomCentroidBondForce(1, "q*x1")),
     "wave": external("2*sin(2*3.14159265358979*x/3)"),
     "walls out of reach": external("1000*max(0, abs(z - 1.5) - 2.9)^2"),
     "walls far away": external("1000*max(0, abs(z) - 14)^2"),
@@ -219,6 +234,7 @@ SERVED = {
     "distances of nearest images": bonds_by_formula("10*distance(p1, p2)^2", periodic=True),
     "differences of coordinates": bonds_by_formula("5*(x1 - x2)^2 + 2*(z1 - z2)^4"),
     "points relative to others": bonds_by_formula("pointdistance(x1, y1, z1, x2 + 0.1, y2, z2)^2", periodic=True),
+    "constant force between centres of mass": centroids("9*(x1 - x2)", range(6), range(6, 12)),
     "two centres of mass": centroids("40*distance(g1, g2)^2", range(6), range(6, 12)),
     "height over a centre of mass": centroids("40*(z1 - z2 - 0.3)^2", range(6), range(6, 12)),
     "many particles": triples("0.1*exp(-distance(p1, p2))"),
