@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import openmm
 
-from openmm_exactrb.context.updates import OURS
+from openmm_exactrb.context.outside_forces import OURS
 from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.support.types import Array, Indices
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from openmm_exactrb.context import variables
 from openmm_exactrb.context.inner import Inner, has_saved_forces, save_forces
+from openmm_exactrb.context.outside_forces import reports_changes
 from openmm_exactrb.context.watch import watch
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.mathematics.compensated import add
@@ -128,7 +129,7 @@ class Synchronisation:
         self.new_trajectory: Callable[[], None] = lambda: None
         #: fingerprint(context) -> the `Inner.fingerprint` of the present settings, box and parameters.
         self.fingerprint: Callable[[Any], float] = lambda context: 0.0
-        self._n_forces = context.getSystem().getNumForces()
+        self._n_forces, self._reports = context.getSystem().getNumForces(), reports_changes(context.getSystem())
         watch(context, "reinitialize", self._write_shown, self._outlive)
         for name in ("setState", "setStepCount"):
             watch(context, name, after=lambda: self.new_trajectory())
@@ -246,10 +247,15 @@ class Synchronisation:
 
         Steps then continue from the shown state. Afterwards, the Context may contain other positions and another time.
         """
-        told, inner = self._storage.forces_changed(), self.inner
+        told, inner = self._told(), self.inner
         if inner is not None and (inner.fingerprint != self.fingerprint(self.context) or inner.outdated(told)):
             self.inner = None
         return self.inner
+
+    def _told(self) -> bool | None:
+        """Return whether OpenMM has reported changed forces, or None if they may have changed without a report."""
+        told = self._storage.forces_changed()
+        return told if told or self._reports else None
 
     def saved(self, x: Array, v: Array) -> State | None:
         """Return the state from a loaded checkpoint or State, if any, given positions x and velocities v."""
@@ -285,7 +291,7 @@ class Synchronisation:
             return True
         x, time, number = self.held()[0], context.getTime(), context.getStepCount()
         try:
-            return inner.outdated(self._storage.forces_changed())
+            return inner.outdated(self._told())
         finally:
             context.setPositions(x)
             context.setTime(time)

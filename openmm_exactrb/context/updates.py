@@ -8,7 +8,7 @@ from typing import Any
 
 import openmm
 
-from openmm_exactrb.context.dipole_boxes import NAME, DipoleBoxes
+from openmm_exactrb.context.dipole_boxes import DipoleBoxes
 from openmm_exactrb.context.synchronisation import Synchronisation
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.free_motion import advancing
@@ -26,8 +26,6 @@ BAROSTATS = (
     "MonteCarloFlexibleBarostat",
     "MonteCarloMembraneBarostat",
 )
-#: Names of the potentials of this package, which conserve the energy and follow the periodic box.
-OURS = (NAME, "GayBernePotential")
 _THERMOSTAT, _REMOVER = "AndersenThermostat", "CMMotionRemover"
 #: Forces that change positions or velocities between steps, and therefore the energy.
 UPDATES = (_THERMOSTAT, _REMOVER, *BAROSTATS)
@@ -204,18 +202,6 @@ class ContextUpdates:
         x, v = sync.held()
         sync.particles[:] = x  # a barostat moves massless particles too
         return sync.compared(state, x, v)
-
-
-def conserve_energy(system: openmm.System) -> bool:
-    """Return whether the forces of a System are known to conserve its energy.
-
-    A PythonForce from outside this package may depend on time or have no energy. A force of a plugin, which has the
-    class Force in Python, may do work.
-    """
-    return not any(
-        type(force) is openmm.Force or (isinstance(force, openmm.PythonForce) and force.getName() not in OURS)
-        for force in system.getForces()
-    )
 
 
 def warn_of_removed_motion(system: openmm.System) -> None:

@@ -200,7 +200,46 @@ def minimiser(run, rng):
     run.context.setVelocitiesToTemperature(300.0, 2)
 
 
+PULL = {"strength": 0.0}  # data that a function of Python reads
+
+
+def pull_of_data(state):
+    """Return the energy and the forces of a field."""
+    x = state.getPositions(asNumpy=True)._value
+    return PULL["strength"] * np.sin(3.0 * x).sum(), -3.0 * PULL["strength"] * np.cos(3.0 * x)
+
+
+def with_silent_forces(run):
+    """Add forces of which OpenMM does not report all changes, and make the Context anew."""
+    PULL["strength"] = 0.0
+    springs = openmm.CustomBondForce("k*r^2")
+    springs.addPerBondParameter("k")
+    for i in range(0, 9, 3):
+        springs.addBond(i, i + 12, [0.0])
+    variable = openmm.CustomCVForce("energy")
+    variable.addCollectiveVariable("energy", springs)
+    run.system.addForce(openmm.PythonForce(pull_of_data))
+    run.system.addForce(variable)
+    run.context.reinitialize(preserveState=True)
+
+
+def data_of_a_function(run, rng):
+    PULL["strength"] = rng.uniform(5.0, 20.0)
+
+
+def inner_context(run, rng):
+    """Change springs in the Context of a collective variable, and in the System, of which `fresh` makes a copy."""
+    force = starts.force_of(run.system, openmm.CustomCVForce)
+    context, strength = force.getInnerContext(run.context), rng.uniform(200.0, 900.0)
+    for springs in (force.getCollectiveVariable(0), context.getSystem().getForce(0)):
+        for k in range(springs.getNumBonds()):
+            i, j, _ = springs.getBondParameters(k)
+            springs.setBondParameters(k, i, j, [strength])
+    springs.updateParametersInContext(context)
+
+
 UPDATES = [restraint, charges]
+SILENT = [data_of_a_function, inner_context]
 CHANGES = [
     *UPDATES,
     parameter,

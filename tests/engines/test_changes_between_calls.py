@@ -10,12 +10,16 @@ import openmm_exactrb as rb
 from changes import (
     CHANGES,
     PLACES,
+    PULL,
+    SILENT,
     Run,
     assert_goes_on_from_what_is_shown,
     bonds,
     minimiser,
     state_of_another_integrator,
+    with_silent_forces,
 )
+from starts import positions_of
 
 SCHEMES = [name for name in rb.SCHEMES if name != "V2_drift"]
 PROCESSED = [name for name in SCHEMES if rb.SCHEMES[name].processor]
@@ -82,6 +86,33 @@ def test_bonds_that_become_stiff_have_inner_steps_or_an_error(place):
     assert_goes_on_from_what_is_shown(run)
 
 
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("scheme", ["V2", "S2_2", "W2_3", "BAOAB", *PROCESSED])
+def test_changes_that_openmm_does_not_report_are_noticed(scheme, place):
+    """Those of data that a function of Python reads, and of an inner Context."""
+    rng = random.Random(place + scheme)
+    run = Run(place, scheme, False, True if scheme == "BAOAB" else None)
+    with_silent_forces(run)
+    for change in rng.sample(SILENT, 2 if place != "OpenCL" else 1):
+        run.integrator.step(rng.choice([1, 4]))
+        change(run, rng)
+        assert_goes_on_from_what_is_shown(run)
+
+
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("scheme", ["S2_2", "W2_1", "W4_4"])
+def test_looking_for_such_changes_alters_no_bit(scheme, place):
+    ends = []
+    for calls in ([6], [1, 3, 2]):
+        run = Run(place, scheme, False)
+        with_silent_forces(run)
+        PULL["strength"] = 3.0
+        for count in calls:
+            run.integrator.step(count)
+        ends.append(positions_of(run.context))
+    np.testing.assert_array_equal(*ends)
+
+
 # -- what changes nothing ---------------------------------------------------------------------------------------------
 
 
@@ -113,7 +144,7 @@ def pull_at_a_time(state):
 @pytest.mark.parametrize("scheme", ["W2_1", "W4_4"])
 @pytest.mark.parametrize("place", ["host", "no library"])
 def test_forces_that_change_by_themselves_leave_the_inner_state(place, scheme, pull):
-    """Calls after a few steps cost the output and, without a library, one look at the forces, or two at random ones."""
+    """Calls cost the output and, if OpenMM may report no change, one look at the forces, or two at random ones."""
     run = Run(place, scheme, False)
     if pull is not None:
         run.system.addForce(openmm.PythonForce(pull))
@@ -123,6 +154,6 @@ def test_forces_that_change_by_themselves_leave_the_inner_state(place, scheme, p
         run.integrator.step(3)
     run.integrator.timings.reset()
     run.integrator.step(3)
-    looks = 0 if place == "host" else 2 if pull is random_pull else 1  # OpenMM tells the library of changes
+    looks = 0 if place == "host" and pull is None else 2 if pull is random_pull else 1  # the library is told of changes
     expected = 3 * rb.SCHEMES[scheme].forces + rb.SCHEMES[scheme].output_forces + looks
     assert run.integrator.timings.evaluations == expected

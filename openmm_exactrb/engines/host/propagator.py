@@ -19,9 +19,10 @@ from openmm import unit
 from openmm_exactrb.context import variables
 from openmm_exactrb.context.forces import ContextForces, EvaluatedForces
 from openmm_exactrb.context.inner import Inner
+from openmm_exactrb.context.outside_forces import conserve_energy
 from openmm_exactrb.context.synchronisation import Synchronisation
 from openmm_exactrb.context.timings import Timings
-from openmm_exactrb.context.updates import ContextUpdates, conserve_energy
+from openmm_exactrb.context.updates import ContextUpdates
 from openmm_exactrb.context.variables import Numbers
 from openmm_exactrb.engines.engine import Settings
 from openmm_exactrb.engines.host.environment import Bound, HostEnvironment

@@ -13,8 +13,9 @@ import openmm
 
 from openmm_exactrb.context import variables
 from openmm_exactrb.context.forces import ContextForces
+from openmm_exactrb.context.outside_forces import conserve_energy
 from openmm_exactrb.context.timings import Timings
-from openmm_exactrb.context.updates import ContextUpdates, conserve_energy
+from openmm_exactrb.context.updates import ContextUpdates
 from openmm_exactrb.engines.library import Machine, library
 from openmm_exactrb.engines.native.assembly import EXCHANGE_NUMBERS, Assembly
 from openmm_exactrb.engines.native.exchange import around_exchange, at_exchange
@@ -28,7 +29,7 @@ from openmm_exactrb.engines.native.reports import (
     thermal,
     warn_of_resonances,
 )
-from openmm_exactrb.engines.native.state import FORCES, NativeState
+from openmm_exactrb.engines.native.state import NativeState
 from openmm_exactrb.errors import IntegrationError, NonFiniteError
 from openmm_exactrb.mechanics.divergence import GROWN, HOTTEST, gained, non_finite
 from openmm_exactrb.mechanics.state import State
@@ -168,8 +169,7 @@ class NativePropagator:
         moves, numbers = self._assembly.table.values(settings.h, self._exchange)
         self.machine.upload("moves", moves)
         self.machine.upload("numbers", numbers)
-        thermostat = settings.thermostat
-        if thermostat is not None and getattr(thermostat, "flexibleFriction", None) is not None:
+        if getattr(settings.thermostat, "flexibleFriction", None) is not None:
             whole, first = self._found.whole, self.sync.bodies.first_particle
             flexible = in_flexible_molecules(self.sync.context, whole, settings.named)[whole.owner[first]]
             for part in self._assembly.parts:
@@ -214,9 +214,8 @@ class NativePropagator:
         IntegrationError
             If integration errors increase the total energy abruptly.
         """
-        changes = self.machine.changes(clear=FORCES)
-        changed = self.sync.settle(changes)
-        if changes & FORCES:
+        changed, forces_changed = self.sync.settle()
+        if forces_changed:
             self._take_new_forces()
         if version != self._version:
             self._bind(settings())
@@ -239,6 +238,7 @@ class NativePropagator:
             if time.perf_counter() - start < _SECONDS:
                 self._portion = min(2 * self._portion, self._most)
             n -= count
+        self.sync.remember_forces()
         if self._overheating is not None:
             now = self.sync.context.getTime()._value
             self._overheating.see(now, lambda: kinetic_by_kind(self.machine, self._assembly.parts))

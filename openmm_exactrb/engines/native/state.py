@@ -64,9 +64,27 @@ class NativeState(Synchronisation):
             self.push()
         return True
 
-    def settle(self, changes: int) -> bool:
-        """Call `pull` if there are external changes (see `Machine.changes`); return whether the state changed."""
-        return self.pull() if changes & (SET | LOADED) else False
+    def settle(self) -> tuple[bool, bool]:
+        """Call `pull` if there are external changes; return whether the state and whether the forces have changed."""
+        changes = self._machine.changes(clear=FORCES)
+        changed = self.pull() if changes & (SET | LOADED) else False
+        return changed, bool(changes & FORCES) or self._silently_changed()
+
+    def _silently_changed(self) -> bool:
+        """Return whether forces have changed without a report by OpenMM.
+
+        The machine then forgets the forces of its last evaluation, as it does when a state is restored.
+        """
+        if self._reports or has_saved_forces(self.context, self._integrator()):
+            return False
+        self._machine.keep()
+        self._machine.restore()
+        return True
+
+    def remember_forces(self) -> None:
+        """Save a sum of the forces if OpenMM does not report all their changes."""
+        if not self._reports:
+            save_forces(self.context, self._integrator())
 
     def moved_on(self) -> None:
         """Record that the machine has moved the bodies, or was restored."""

@@ -8,7 +8,7 @@ import openmm
 import pytest
 
 import openmm_exactrb as rb
-from openmm_exactrb.context import updates
+from openmm_exactrb.context import outside_forces
 from starts import context_of
 
 
@@ -94,9 +94,9 @@ def driven(check=True, force=True):
 
 def test_the_dipoles_of_the_package_conserve_energy_and_other_functions_may_not():
     system = rb.dipole_fluid(2)[1]
-    assert updates.conserve_energy(system)
+    assert outside_forces.conserve_energy(system)
     system.addForce(openmm.PythonForce(len))
-    assert not updates.conserve_energy(system)
+    assert not outside_forces.conserve_energy(system)
 
 
 def test_a_force_without_an_energy_may_drive():
