@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import openmm
 import pytest
-from native.zoo import every_kind
 from openmm import app
 from pages import ROOT, pieces
 
 import openmm_exactrb as rb
 import peptides
+from engines.native.zoo import every_kind
 from small_molecules import MOLECULES, placed, system_of
 from starts import context_of, positions_of
 
