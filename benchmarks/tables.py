@@ -10,6 +10,7 @@ import numpy as np
 from benchmarks.common.markdown import distinct, rows, table, with_error
 from benchmarks.common.records import Row
 from benchmarks.common.starts import R
+from benchmarks.cost.tables import cost_at_8_fs
 from benchmarks.water.equipartition_record import LFM
 from openmm_exactrb import SCHEMES
 from openmm_exactrb.schemes import CATALOGUE, stability_limit
@@ -331,8 +332,8 @@ def figures() -> dict[str, str]:
         "W4_4_gain_error": f"{error_over_verlet('W4_4') / over_verlet('W4_4'):.0f}",
         "protein_gain": f"{protein_gain():.1f}",
         "protein_gain_over_mts": f"{protein_gain('MTSIntegrator'):.1f}",
-        "protein_throughput": f"{2.0 / max(costs_at_8_fs()):.1f}",
-        "protein_time": f"{sum(costs_at_8_fs()) / 4.0:.2f}",
+        "protein_throughput": f"{2.0 / cost_at_8_fs():.1f}",
+        "protein_time": f"{cost_at_8_fs() / 2.0:.2f}",
     }
 
 
@@ -354,24 +355,6 @@ def protein_gain(over: str = "Verlet") -> float:
     """Return the energy error of a method over the default's, for villin over 2 ps: benchmarks/proteins/protein.py."""
     std = {row["method"]: float(row["std_2_ps_kJ_mol"]) for row in rows("protein")}
     return std[over] / std["W2_1"]
-
-
-def costs_at_8_fs() -> tuple[float, float]:
-    """Return the cost of a force every 8 fs over OpenMM's at 4 fs, for villin: benchmarks/cost/one_line.py."""
-    villin = "villin in water, 8867 atoms"
-    (row,) = [row for row in rows("one_line") if row["system"] == villin and row["with"].startswith("8 fs")]
-    return float(row["least"]), float(row["most"])
-
-
-def one_line() -> str:
-    """Return the times of steps over those of OpenMM's integrators."""
-    body = []
-    for row in rows("one_line"):
-        name, _, step = row["relative_to"].partition(", ")
-        least, most = row["least"], row["most"]
-        theirs = f"`{name}`, {step}" if step else f"`{name}`"
-        body.append((row["system"], row["with"], theirs, least if least == most else f"{least} to {most}"))
-    return table(("system", "forces every", "relative to", "time"), body)
 
 
 def asked(scheme: str) -> float:

@@ -14,8 +14,10 @@ from pathlib import Path
 
 from benchmarks import tables
 from benchmarks.common.markdown import rows, table
+from benchmarks.common.provenance import PROVENANCE
 from benchmarks.common.records import DOCS
 from benchmarks.constraints.small_molecules import small_molecules
+from benchmarks.cost import tables as of_cost
 from benchmarks.device import tables as of_device
 from benchmarks.dipoles import tables as of_dipoles
 from benchmarks.proteins import tables as of_proteins
@@ -34,7 +36,7 @@ from benchmarks.water.equipartition_record import (
 )
 from benchmarks.water.tip4p2005 import tip4p2005
 
-#: Records that are shown as they are.
+#: Records that are shown as they are, without the columns of provenance.
 AS_THEY_ARE = [
     "acceptance",
     "cholesterol",
@@ -56,7 +58,8 @@ _WRITTEN = re.compile(r"(?<=<!-- table: )(\w+)( -->\n)((?:\|.*\n)*)")
 def all_tables() -> dict[str, str]:
     """Return the tables in Markdown by their names."""
     functions = (
-        *(tables.default_energies, tables.default_stability, tables.default_temperatures, tables.one_line),
+        *(tables.default_energies, tables.default_stability, tables.default_temperatures),
+        *(of_cost.one_line, of_cost.small_systems),
         *(tables.protein_steps, tables.protein_limits, tables.villin_steps, tables.heating, tables.populations),
         tables.equal_protein_costs,
         *(tables.outputs, tables.validation, tables.ensembles, tables.earlier_schemes, tables.scheme_table),
@@ -77,7 +80,8 @@ def all_tables() -> dict[str, str]:
 
 def _as_it_is(name: str) -> str:
     found = rows(name)
-    return table([column.replace("_", " ") for column in found[0]], [list(row.values()) for row in found])
+    columns = [column for column in found[0] if column not in PROVENANCE]
+    return table([name.replace("_", " ") for name in columns], [[row[name] for name in columns] for row in found])
 
 
 def _equipartition() -> Iterator[tuple[str, str]]:

@@ -4,10 +4,10 @@ Rigid water is compared with VerletIntegrator and LangevinMiddleIntegrator by th
 of step(1) with a step of a call of 100. Peptides in vacuum have steps of 2 fs. Peptides in water have hydrogens of 3
 amu and a force evaluation every 8 fs, for which LangevinMiddleIntegrator needs constraints of all bonds. The time of
 the first step of water, without that of imports, is measured in new processes with an empty home folder and a compiled
-library.
+library. On two threads, the wall time of the native engine is compared with that of the host engine.
 
-Each row is the median and the quartiles of nine pairs of runs that alternate on one core. Rows are written to
-docs/small_systems.csv; rows that are there are not measured again.
+Each row is the median and the quartiles of nine pairs of runs that alternate, except on two threads on one core. Rows
+are written to docs/small_systems.csv; rows that are there are not measured again.
 
     python benchmarks/cost/small_systems.py --pdb villin.pdb
     python benchmarks/cost/small_systems.py --only water --engine host --record out/host.csv
@@ -20,6 +20,7 @@ import os
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from functools import cache, partial
 from pathlib import Path
@@ -30,15 +31,15 @@ import openmm
 from openmm import app, unit
 
 import openmm_exactrb as rb
-from benchmarks.common.clocks import in_turns, timed
+from benchmarks.common.clocks import QUARTILES, in_turns, on_one_core, quartiles, timed
 from benchmarks.common.proteins import FORCE_FIELD, PEPTIDE, helix, solvated
-from benchmarks.common.provenance import commit
+from benchmarks.common.provenance import PROVENANCE, provenance
 from benchmarks.common.records import DOCS, Record
-from benchmarks.common.starts import ONE_THREAD, context_of
+from benchmarks.common.starts import context_of
 from openmm_exactrb.engines.library import CACHE, library
 
 RUN = "system", "platform", "run", "beside"
-FOUND = "unit", "lower_quartile", "median", "upper_quartile", "engine", "openmm", "commit", "load"
+FOUND = "unit", *QUARTILES, "engine", *PROVENANCE
 PAIRS = 9
 SECONDS = 0.2  # of processor time that a run takes at least
 KELVIN, FRICTION = 300.0, 5.0
@@ -46,6 +47,7 @@ PLATFORMS = "Reference", "CPU"
 WATERS, IN_BATH, BY_CALL = (1, 8, 27, 64, 216, 895), (8, 27, 64, 216), (1, 8, 27, 64)
 #: Residues of helices of 123 and 403 atoms, and water around alanine dipeptide.
 RESIDUES, AROUND = (12, 40), 212
+MANY = 10_000  # molecules of water for two threads
 FIRST = """
 import time
 import openmm_exactrb as rb, openmm
@@ -67,9 +69,9 @@ class Start(NamedTuple):
     system: openmm.System
     positions: Any
 
-    def moving(self, integrator: openmm.Integrator, platform: str) -> openmm.Context:
+    def moving(self, integrator: openmm.Integrator, platform: str, threads: int = 1) -> openmm.Context:
         """Return a Context after some steps of an integrator."""
-        properties = ONE_THREAD if platform == "CPU" else {}
+        properties = {"Threads": f"{threads}"} if platform == "CPU" else {}
         context = context_of(self.system, integrator, self.positions, platform, properties)
         context.applyConstraints(1e-8)
         context.setVelocitiesToTemperature(KELVIN, 1)
@@ -137,12 +139,6 @@ def constant(step: float, scheme: str | None, engine: str) -> openmm.Integrator:
     return rb.ExactRigidBodyIntegrator(step, scheme, engine=engine)
 
 
-def quartiles(values: Any) -> dict[str, Any]:
-    """Return the columns of the median and the quartiles."""
-    found = np.percentile(np.array(values), (25, 50, 75))
-    return dict(zip(FOUND[1:4], (f"{x:.3g}" for x in found), strict=True))
-
-
 def calls(integrator: openmm.Integrator, steps: int = 10) -> int:
     """Return a number of steps that takes `SECONDS`."""
     while (spent := timed(partial(integrator.step, steps))) < 0.25 * SECONDS:
@@ -173,6 +169,15 @@ def by_call(context: openmm.Context) -> dict[str, Any]:
     times = in_turns({n: partial(steps, n) for n in (1, 100)}, PAIRS)
     differences = (np.array(times[1]) - times[100]) / (repeats * 100)
     return {"unit": "us", "engine": integrator.getEngine(), **quartiles(1e6 * differences)}
+
+
+def by_engine(native_context: openmm.Context, host_context: openmm.Context) -> dict[str, Any]:
+    """Return how many times the wall time of the same steps with the host engine the native engine takes."""
+    native, host = native_context.getIntegrator(), host_context.getIntegrator()
+    steps = calls(native, 2)
+    times = in_turns({each: partial(each.step, steps) for each in (native, host)}, PAIRS, time.perf_counter)
+    ratios = np.array(times[native]) / times[host]
+    return {"unit": "ratio", "engine": native.getEngine(), **quartiles(ratios)}
 
 
 def first_steps(engine: str, platform: str) -> dict[str, Any]:
@@ -241,6 +246,20 @@ def of_solutes(engine: str, pdbs: list[Path]) -> Iterator[Measurement]:
             yield beside(name, "CPU", f"{scheme}, 8 fs a force", start, ours, theirs, other)
 
 
+def on_two_threads(engine: str, pdbs: list[Path]) -> Iterator[Measurement]:
+    """Yield the measurements of the host engine beside another engine on two threads."""
+    rows = [(f"{MANY} TIP3P", "W2_1, 2 fs a force", partial(water, MANY), partial(constant, 0.002, "W2_1"))]
+    for pdb in pdbs:
+        start = partial(in_water, pdb, app.HBonds)
+        rows.append((f"{pdb.stem} in water", "W2_3m, 8 fs a force", start, partial(bath, 0.024, "W2_3m")))
+    for name, run, start, ours in rows:
+
+        def measured(start: Any = start, ours: Any = ours) -> dict[str, Any]:
+            return by_engine(*(start().moving(ours(each), "CPU", 2) for each in (engine, "host")))
+
+        yield Measurement(name, "CPU", f"{run}, two threads", "the host engine, by wall time", measured)
+
+
 def beside(system: str, platform: str, run: str, start: Any, ours: Any, theirs: Any, other: Any = None) -> Measurement:
     """Return the measurement of an integrator of ours beside one of OpenMM's, which may have another start."""
 
@@ -254,27 +273,27 @@ def beside(system: str, platform: str, run: str, start: Any, ours: Any, theirs: 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add = parser.add_argument
-    add("--only", choices=("water", "peptides", "solutes"), help="some of the rows")
+    add("--only", choices=("water", "peptides", "solutes", "threads"), help="some of the rows")
     add("--pdb", type=Path, help="a solvated protein, beside alanine dipeptide")
     add("--engine", default="native", help="of our integrators (%(default)s)")
     add("--record", type=Path, default=DOCS / "small_systems.csv")
     args = parser.parse_args()
-    if hasattr(os, "sched_setaffinity"):
-        # The CPU platform hands its work to a thread. How long this takes depends on the cores of both threads.
-        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})  # noqa: TID251
+    pdbs = [args.pdb] if args.pdb else []
     record = Record(args.record, RUN, FOUND)
     measurements = {
+        "threads": on_two_threads(args.engine, pdbs),  # before the process stays on one core
         "water": of_water(args.engine),
         "peptides": of_peptides(args.engine),
-        "solutes": of_solutes(args.engine, [PEPTIDE, *([args.pdb] if args.pdb else [])]),
+        "solutes": of_solutes(args.engine, [PEPTIDE, *pdbs]),
     }
     for what, some in measurements.items():
+        if what != "threads":
+            on_one_core()
         for each in some if args.only in (None, what) else ():
             row = dict(zip(RUN, each[:4], strict=True))
             if row in record:
                 continue
-            load = f"{os.getloadavg()[0]:.1f}"
-            record.add({**row, "openmm": openmm.__version__, "commit": commit(), "load": load, **each.measured()})
+            record.add({**row, **provenance(), **each.measured()})
 
 
 if __name__ == "__main__":

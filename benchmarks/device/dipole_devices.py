@@ -21,6 +21,7 @@ import openmm
 
 import openmm_exactrb as rb
 from benchmarks.common.clocks import in_turns
+from benchmarks.common.provenance import PROVENANCE, provenance
 from benchmarks.common.records import DOCS, OUT, Record
 from benchmarks.common.starts import context_of
 from benchmarks.common.stockmayer import KELVIN, MU2, arrows, edge_of, fluid, relative_error
@@ -30,7 +31,7 @@ RECORDS = {
     "bonds": Record(
         DOCS / "dipole_bonds.csv",
         ("dipoles", "precision", "energies scaled by", "kernel"),
-        ("force error", "torque error", "ms", "median ms"),
+        ("force error", "torque error", "ms", "median ms", *PROVENANCE),
     ),
     "rods": Record(
         DOCS / "dipole_rods.csv",
@@ -56,7 +57,7 @@ def main():
             measure = bonds if arguments.what == "bonds" else rods
             for row in measure(n, arguments, precision):
                 shown = {name: f"{value:.3g}" if isinstance(value, float) else value for name, value in row.items()}
-                RECORDS[arguments.what].add({"dipoles": n, "precision": precision} | shown)
+                RECORDS[arguments.what].add({"dipoles": n, "precision": precision} | provenance() | shown)
 
 
 def liquid(n):

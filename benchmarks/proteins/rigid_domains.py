@@ -26,6 +26,7 @@ import openmm
 
 import openmm_exactrb as rb
 from benchmarks.common.clocks import in_turns
+from benchmarks.common.provenance import PROVENANCE, provenance
 from benchmarks.common.records import DOCS, ROOT, read, write
 from benchmarks.common.starts import R
 
@@ -192,7 +193,7 @@ def conserved(context, integrator, ours):
 def cost(rounds: int = 7, steps: int = 100) -> None:
     rows = []
     x = relaxed(model())
-    runs, kept = {}, []
+    runs, kept, langevins = {}, [], {}
     for exclude in (False, True):
         system = model(exclude)
         for name in ("bodies=", "createRigidBodies", "flexible"):
@@ -204,12 +205,15 @@ def cost(rounds: int = 7, steps: int = 100) -> None:
             (integrator if bodies else context).setVelocitiesToTemperature(MODEL.TEMPERATURE, 1)
             integrator.step(20)
             kept.append(context)
+            if bodies:
+                langevins[exclude] = integrator
             runs[name, exclude] = lambda integrator=integrator: integrator.step(steps)
     for (name, exclude), taken in in_turns(runs, rounds).items():
         step = 1e3 * np.median(taken) / steps
-        rows.append([name, "excluded" if exclude else "computed", f"{step:.2f}"])
+        engine = langevins[exclude].getEngine() if name == "bodies=" else "openmm"
+        rows.append([name, "excluded" if exclude else "computed", f"{step:.2f}", engine, *provenance().values()])
         print(*rows[-1], flush=True)
-    write(COST, ("bodies", "pairs_within", "step_ms"), rows)
+    write(COST, ("bodies", "pairs_within", "step_ms", "engine", *PROVENANCE), rows)
 
 
 def rotation(seeds=(1, 2, 3), duration: float = 1500.0) -> None:
