@@ -58,6 +58,18 @@ DEVICE inline void add_bonds(IN_BLOCK) {
     }
 }
 
+// Return the angle of the point (x, y), by a polynomial if it is small. The largest error of the polynomial is 7e-18 of the angle.
+DEVICE inline fine angle_of(fine y, fine x) {
+    if (!(fabs(y) <= (fine) 0.42f*x))
+        return atan2(y, x);
+    const fine z = y/x, u = z*z, v = u*u;  // even and odd powers of u
+    const fine even = (fine) -0.333333333333333291+v*((fine) -0.14285714284398276+v*((fine) -0.0909090372625419416
+        +v*((fine) -0.0666424051322612547+v*((fine) -0.0507347593184631205+v*(fine) -0.0187649224736799086))));
+    const fine odd = (fine) 0.19999999999994216+v*((fine) 0.111111109939878484+v*((fine) 0.0769216368130412972
+        +v*((fine) 0.0585582834767944345+v*(fine) 0.0388905503026414422)));
+    return z+z*u*(even+u*odd);
+}
+
 // Numbers: cosine and sine of the angle, strength.
 DEVICE inline void add_angles(IN_BLOCK) {
     EACH_TERM {
@@ -66,7 +78,7 @@ DEVICE inline void add_angles(IN_BLOCK) {
         DIFFERENCE(v, c, b);
         CROSS(n, u, v);
         const fine sine = fmax(sqrt(DOT(n, n)), (fine) 1e-12f), cosine = DOT(u, v);
-        const fine f = NUMBER(2)*atan2(NUMBER(1)*cosine-NUMBER(0)*sine, NUMBER(0)*cosine+NUMBER(1)*sine);
+        const fine f = NUMBER(2)*angle_of(NUMBER(1)*cosine-NUMBER(0)*sine, NUMBER(0)*cosine+NUMBER(1)*sine);
         CROSS(p, u, n);
         CROSS(q, n, v);
         const fine g = f/(sine*DOT(u, u)), h = f/(sine*DOT(v, v));
@@ -85,9 +97,9 @@ DEVICE inline void add_angles(IN_BLOCK) {
     CROSS(a, d, e); \
     CROSS(b, z, e); \
     CROSS(ba, b, a); \
-    const NUMERIC aa = DOT(a, a), bb = DOT(b, b), g = sqrt(DOT(e, e)), scale = 1/sqrt(aa*bb); \
-    const NUMERIC cosine = scale*DOT(a, b), sine = scale/g*DOT(ba, e); \
-    const NUMERIC first = -g/aa, last = g/bb, p = DOT(d, e)/(aa*g), q = -DOT(z, e)/(bb*g); \
+    const NUMERIC over_aa = 1/DOT(a, a), over_bb = 1/DOT(b, b), g = sqrt(DOT(e, e)), over_g = 1/g, scale = sqrt(over_aa*over_bb); \
+    const NUMERIC cosine = scale*DOT(a, b), sine = scale*over_g*DOT(ba, e); \
+    const NUMERIC first = -g*over_aa, last = g*over_bb, p = DOT(d, e)*over_aa*over_g, q = -DOT(z, e)*over_bb*over_g; \
     const NUMERIC h0 = p*a0+q*b0, h1 = p*a1+q*b1, h2 = p*a2+q*b2; \
     const NUMERIC m0 = h0-first*a0, m1 = h1-first*a1, m2 = h2-first*a2, o0 = h0+last*b0, o1 = h1+last*b1, o2 = h2+last*b2;
 #define ADD_TORSION(i, j, k, l, f) \
@@ -131,8 +143,8 @@ DEVICE inline void add_pairs(IN_BLOCK) {
     EACH_TERM {
         const int a = ATOM(0), b = ATOM(1);
         DIFFERENCE(u, a, b);
-        const double square = DOT(u, u), ratio = NUMBER(1)*NUMBER(1)/square, s = ratio*ratio*ratio;
-        const double f = (NUMBER(0)/sqrt(square)+NUMBER(2)*(48*s-24)*s)/square;
+        const double over = 1/DOT(u, u), ratio = NUMBER(1)*NUMBER(1)*over, s = ratio*ratio*ratio;
+        const double f = (NUMBER(0)*sqrt(over)+NUMBER(2)*(48*s-24)*s)*over;
         ADD(a, f, u);
         ADD(b, -f, u);
     }

@@ -81,10 +81,19 @@ inline double apart(const number& a, const number& b, double* rest) {
     return sum;
 }
 
+// The largest power of two up to a positive number.
+inline double power_of_two(double x) {
+    mm_ulong bits;
+    memcpy(&bits, &x, sizeof(x));
+    bits &= 0x7FF0000000000000UL;
+    memcpy(&x, &bits, sizeof(x));
+    return x;
+}
+
 // (d*d-r.r)/2, with an error below 1e-7 times the rounding error of d*d: numbers are divided into multiples of d/2^26 or
 // so, whose squares are exact, and remainders.
 inline double half_defect(double d, const double* r, const double* rest) {
-    const double to_grid = std::ldexp(1.5, 27+std::ilogb(d)), coarse = (d+to_grid)-to_grid;
+    const double to_grid = 201326592.0*power_of_two(d), coarse = (d+to_grid)-to_grid;
     double near[3], defect = coarse*coarse;
     EACH(e, 3) {
         near[e] = (r[e]+to_grid)-to_grid;
@@ -136,8 +145,12 @@ struct Thread {
     }
 };
 
+// The function of the C library calls the library, because of nan.
+inline double fmax(double a, double b) {
+    return a < b ? b : a;
+}
+
 using std::fabs;
-using std::fmax;
 using std::max;
 using std::min;
 

@@ -37,7 +37,8 @@ struct Flexible : Thread {
 #define GRAPH_ORDERS 30
 #define SETTLED 1e-16
 #define SHORTEST (1.0/4096)
-    // Stars have a struct for each number of constraints.
+#include "../kernels/pair.cl"
+    // Larger stars have a struct for each number of constraints.
     template <int RAYS> struct Star {
 #include "../kernels/star.cl"
     };
@@ -52,7 +53,7 @@ struct Flexible : Thread {
                 xs[3*at+e] += t*v[3*first+e];
             break;
         case 2:
-            Star<1>().move_star(idle, t, cluster, at, inverse_masses, lengths, relaxes, before, after, heat, xs, v);
+            move_pair(t, cluster, at, inverse_masses, lengths, relaxes, before, after, heat, xs, v);
             break;
         case 3:
             Star<2>().move_star(idle, t, cluster, at, inverse_masses, lengths, relaxes, before, after, heat, xs, v);
