@@ -179,10 +179,29 @@ def test_almost_straight_angles_and_flat_torsions_keep_their_digits(kernels, awa
         np.testing.assert_allclose(found[some], expected[some], rtol=0.0, atol=30 * U * condition * size)
 
 
-def test_a_force_that_is_too_large_for_sums_is_no_number_and_a_bond_of_no_length_has_none(kernels):
-    pair, bond = lennard_jones_pairs(), openmm.HarmonicBondForce()
+def test_a_bond_of_no_length_has_no_force(kernels):
+    bond = openmm.HarmonicBondForce()
     bond.addBond(0, 1, 0.1, 1e5)
-    x = RNG.normal(size=(bonded_terms.N, 3))
-    x[3] = x[0] + 1e-5
-    assert np.isnan(forces_of(kernels, terms_in(system_of(pair)), x)).all()
     assert not forces_of(kernels, terms_in(system_of(bond)), np.zeros((2, 3))).any()
+
+
+@pytest.mark.parametrize("make", FORMS)
+def test_forces_do_not_depend_on_the_terms_of_other_molecules(kernels, make):
+    """Several terms are evaluated at once; terms in front of those of a molecule change which ones."""
+    terms, (x, elsewhere) = terms_in(system_of(make())), RNG.normal(size=(2, bonded_terms.N, 3))
+    alone = forces_of(kernels, terms, x)
+    for in_front in range(1, 5):
+        found = forces_of(kernels, behind_others(terms, in_front, len(x)), np.concatenate([elsewhere, x]))
+        np.testing.assert_array_equal(found[len(x) :], alone)
+
+
+def behind_others(terms, n, atoms):
+    """Return the first n terms of each kind, and then all terms on particles whose indices are larger by `atoms`."""
+    made = {}
+    for name, values in terms._asdict().items():
+        if name.startswith("of_"):
+            made[name] = np.concatenate([values[..., :n], values], axis=-1)
+        elif name != "patches":
+            shift = np.where(np.arange(values.shape[1]) < 8, atoms, 0)  # further columns of maps are no particles
+            made[name] = np.concatenate([values[:n], values + shift])
+    return terms._replace(**made)

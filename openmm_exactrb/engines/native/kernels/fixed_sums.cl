@@ -1,6 +1,7 @@
 // Sums of forces in fixed point, like OpenMM's sums, so that the order does not affect the result.
 
 #define FIXED_POINT 4294967296.0
+#define LARGEST_FORCE 1e9f
 typedef mm_ulong term_sum;
 #define OF_SUM(sum) ((double) (mm_long) (sum)*(1.0/FIXED_POINT))
 
@@ -14,4 +15,17 @@ DEVICE inline void add_to_sum(fine f, LOCAL_ARG term_sum* sum) {
 #else
     ATOMIC_ADD(sum, (mm_ulong) value);
 #endif
+}
+
+// Add a force to the sum for atom a. If a force is too large for fixed point, the block is marked as broken.
+DEVICE inline void add(fine f0, fine f1, fine f2, int a, LOCAL_ARG term_sum* sums, LOCAL_ARG int* broken, int own) {
+    if (a >= own)
+        return;
+    if (!(fabs(f0) < LARGEST_FORCE && fabs(f1) < LARGEST_FORCE && fabs(f2) < LARGEST_FORCE)) {
+        *broken = 1;
+        return;
+    }
+    add_to_sum(f0, sums+3*a);
+    add_to_sum(f1, sums+3*a+1);
+    add_to_sum(f2, sums+3*a+2);
 }

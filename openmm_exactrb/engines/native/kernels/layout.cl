@@ -1,6 +1,5 @@
 // Columns of the tables of flexible molecules, and the type `fine` (float or double) of the numbers of most terms.
 typedef FINE fine;
-#define LARGEST_FORCE 1e9f
 #define NOT_A_NUMBER (0.0/0.0)
 
 // The kinds of moves in openmm_exactrb.moves, and the columns of the table of moves.

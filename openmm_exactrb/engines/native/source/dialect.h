@@ -151,6 +151,7 @@ inline double fmax(double a, double b) {
 }
 
 using std::fabs;
+using std::sqrt;
 using std::max;
 using std::min;
 

@@ -1,6 +1,13 @@
 // The kernels of flexible molecules for processors.
-#include "dialect.h"
+#include "several.h"
 #define FINE double
+#define FINES several
+#define EXACTS several
+#define ON(a, f, u) force_on(a, (f)*u##0, (f)*u##1, (f)*u##2)
+#define ADD_TWO(a, f, u, b, g, v) add({ON(a, f, u), ON(b, g, v)}, sums);
+#define ADD_THREE(a, f, u, b, g, v, c, h, w) add({ON(a, f, u), ON(b, g, v), ON(c, h, w)}, sums);
+#define ADD_FOUR(a, f, u, b, g, v, c, h, w, d, i, x) add({ON(a, f, u), ON(b, g, v), ON(c, h, w), ON(d, i, x)}, sums);
+#define DISTANCE(a, b, e) (coordinates(xs, a, e)-coordinates(xs, b, e))
 
 namespace exactrb {
 namespace {
@@ -28,9 +35,6 @@ struct Flexible : Thread {
 
     typedef double term_sum;
 #define OF_SUM(sum) (sum)
-    static void add_to_sum(double f, term_sum* sum) {
-        *sum += f;
-    }
 #include "../kernels/random.cl"
 #include "../kernels/layout.cl"
 #define ORDERS 12
