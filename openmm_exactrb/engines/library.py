@@ -106,6 +106,7 @@ class Machine:
     def __init__(self, library: Library, integrator: Any) -> None:
         self._library, self._integrator = library, weakref.ref(integrator)
         self._result = (ctypes.c_double * 4)()
+        self._changes: ctypes.c_int | None = None  # memory of the integrator, which is read before every call
 
     def _call(self, function: str, *arguments: Any) -> None:
         self._library.call(function, self._integrator(), *arguments)
@@ -189,9 +190,14 @@ class Machine:
         The value 1 marks changed positions, 2 changed velocities, 4 forces with changed parameters, as set by
         ``updateParametersInContext``, and 8 a loaded checkpoint or State.
         """
-        value = ctypes.c_int()
-        self._call("changes", clear, ctypes.byref(value))
-        return value.value
+        if self._changes is None:
+            bits = ctypes.POINTER(ctypes.c_int)()
+            self._call("changes", ctypes.byref(bits))
+            self._changes = bits.contents
+        value = self._changes.value
+        if value & clear:
+            self._changes.value = value & ~clear
+        return value
 
     def _count(self, which: int) -> int:
         value = ctypes.c_longlong()

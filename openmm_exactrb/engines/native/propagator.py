@@ -82,7 +82,7 @@ class NativePropagator:
         self._version: object = None
         self._shown = True  # whether the Context shows the state, which within a call of a processed scheme it does not
         self._kept = True  # `_shown` before the present steps
-        self._sent: dict[str, float] = {}
+        self._sent: tuple[float, ...] = ()
         self._evaluations = self.machine.evaluations
         # Forces from outside may raise errors, after which the Context contains the last complete step.
         self._portion, self._most = (_FEWEST, _MOST) if self._conserves else (1, 1)
@@ -183,15 +183,15 @@ class NativePropagator:
     def _send(self, key: int) -> None:
         """Write the key of the random numbers, and what acts between steps, if they have changed."""
         updates = self.updates
-        intervals = {"interval": float(updates.interval), "always": float(updates.always)}
-        removes = float(updates.removes_motion and not updates.pushes)
-        present = intervals | {"removes": removes, "key": float(key)}
+        removes = updates.removes_motion and not updates.pushes
+        present = updates.interval, updates.always, removes, key
         if present == self._sent:
             return
-        if any(self.machine[name] != value for name, value in intervals.items()):
+        before = self.machine["interval"], self.machine["always"]
+        for name, value in zip(("interval", "always", "removes", "key"), present, strict=True):
+            self.machine[name] = float(value)
+        if (self.machine["interval"], self.machine["always"]) != before:
             self.machine["calls"] = 0.0  # begin to count steps
-        for name, value in present.items():
-            self.machine[name] = value
         self._sent = present
 
     def _send_numbers(self) -> None:
@@ -221,7 +221,7 @@ class NativePropagator:
             self._bind(settings())
             self._version, changed = version, True
         if changed:
-            self._sent = {}
+            self._sent = ()
         self._send(key)
         if changed or self._settings.own_numbers:  # which a user may set without a change of the Context
             self._send_numbers()

@@ -134,7 +134,7 @@ def merged(moves: Iterable[Move]) -> tuple[Move, ...]:
             rows[-1] = replace(rows[-1], part=rows[-1].part + move.part)
         else:
             rows.append(move)
-    return tuple(rows)
+    return tuple(move for move in rows if move.op != Op.DRIFT or move.part)  # a held drift and its inverse cancel
 
 
 def known_after(segments: Sequence[Segment], known: int | None = None) -> int | None:

@@ -7,7 +7,7 @@ import pytest
 from kernel_functions import U
 
 import bonded_terms
-from bonded_terms import FORMS, RNG, lennard_jones_pairs, maps, system_of, terms_in
+from bonded_terms import FORMS, RNG, maps, system_of, terms_in
 from openmm_exactrb.engines.native.flexible.tables import kinds_of
 from openmm_exactrb.multiple_time_steps.bonded import COULOMB
 from starts import context_of

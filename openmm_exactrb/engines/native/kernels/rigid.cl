@@ -180,7 +180,8 @@ KERNEL void segment(CONTEXT, GLOBAL const component* force, TABLES, STATE, GLOBA
             EACH(k, 3)
                 arm[k] += body.R[k];
         }
-        attitude(place, Q);
+        if (what & (MOVES_PARTICLES | SHOWS_VELOCITIES))
+            attitude(place, Q);
         if (what & MOVES_PARTICLES)
             FOR_SITES {
                 double r[3];

@@ -799,6 +799,6 @@ EXPORT(report, (void* integrator, int shown, double* totals), it.report(shown !=
 EXPORT(keep, (void* integrator, int slot), it.keep(slot))
 EXPORT(restore, (void* integrator, int slot), it.restore(slot))
 EXPORT(count, (void* integrator, int which, long long* value), *value = which == 0 ? it.launches : it.forceCalls)
-// Return the bits of external changes, and then clear some of them.
-EXPORT(changes, (void* integrator, int clear, int* value), *value = it.changes; it.changes &= ~clear)
+// Return where the bits of external changes are.
+EXPORT(changes, (void* integrator, int** bits), *bits = &it.changes)
 }
