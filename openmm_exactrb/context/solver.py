@@ -12,6 +12,7 @@ from openmm_exactrb.mechanics.fit import REFUSED
 from openmm_exactrb.mechanics.images import joined
 from openmm_exactrb.mechanics.links import Links
 from openmm_exactrb.openmm_access import arrays, parameters
+from openmm_exactrb.openmm_access.parameters import Rows
 from openmm_exactrb.support.types import Array
 
 # A distance that differs from the constrained length by more than this fraction of it indicates a split molecule.
@@ -30,7 +31,7 @@ def solvable(system: openmm.System, x: Array) -> bool:
     The solver fails if the box has split molecules, because it does not use nearest images. With redundant constraints,
     the solver may diverge, or leave motions that satisfy the constraints to first order but deform a rigid body.
     """
-    pairs, lengths = parameters.constraints(system)
+    pairs, lengths = _enforced(system)
     if not len(pairs):
         return True
     apart, distance = _distances(pairs, x)
@@ -40,7 +41,7 @@ def solvable(system: openmm.System, x: Array) -> bool:
 
 def satisfied(system: openmm.System, x: Array) -> bool:
     """Return whether positions (n_particles, 3) that OpenMM's solver has computed satisfy the constraints to 1 %."""
-    pairs, lengths = parameters.constraints(system)
+    pairs, lengths = _enforced(system)
     return bool((np.abs(_distances(pairs, x)[1] - lengths) <= _MISSED * lengths).all())
 
 
@@ -55,7 +56,7 @@ def mended(context: Any) -> float:
         The largest error of a constrained length that was corrected, in nm, or 0.
     """
     system, x = context.getSystem(), arrays.positions(context.getState(positions=True))
-    pairs, lengths = parameters.constraints(system)
+    pairs, lengths = _enforced(system)
     box = arrays.periodic_box(context)
     whole = x if box is None else joined(x, Links(pairs, lengths, len(x)), box)
     apart, distance = _distances(pairs, whole)
@@ -72,6 +73,13 @@ def mended(context: Any) -> float:
         return missed
     context.setPositions(x)
     return 0.0
+
+
+def _enforced(system: openmm.System) -> Rows:
+    """Return the constraints of a System, without those between frozen particles, which OpenMM ignores."""
+    pairs, lengths = parameters.constraints(system)
+    moving = parameters.masses(system)[pairs].any(axis=1)
+    return pairs[moving], lengths[moving]
 
 
 def _distances(pairs: NDArray[np.intp], x: Array) -> tuple[Array, Array]:

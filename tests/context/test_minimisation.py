@@ -94,3 +94,23 @@ def test_openmms_method_does_not_drag_split_molecules_through_the_box():
     split, never = map(positions_of, (simulation.context for simulation in simulations))
     assert np.abs(np.mod(whole, edge) - whole).max() > 0.5 * edge
     np.testing.assert_allclose(split - edge * np.round((split - never) / edge), never, atol=1e-9)
+
+
+@pytest.mark.parametrize("wrong", [0.005, 0.03, 0.07, 1.9])
+@pytest.mark.parametrize("frozen", [(0,), (0, 3, 7)])
+def test_constraints_between_frozen_particles_are_ignored(frozen, wrong):
+    """As by OpenMM: frozen molecules stay where they are, however long the distances within them are."""
+    topology, system, positions = rb.rigid_water(8, nonbondedMethod=app.CutoffPeriodic, nonbondedCutoff=0.3, seed=4)
+    x = np.array(positions._value)
+    for molecule in frozen:
+        for i in range(3 * molecule, 3 * molecule + 3):
+            system.setParticleMass(i, 0.0)
+        x[3 * molecule + 1] += [wrong, 0.0, 0.0]
+    simulation = simulation_of(topology, system, rb.ExactRigidBodyIntegrator(0.001), x)
+    before = simulation.context.getState(energy=True).getPotentialEnergy()._value
+    simulation.minimizeEnergy(maxIterations=20)
+    assert simulation.context.getState(energy=True).getPotentialEnergy()._value < before
+    assert simulation.integrator.degreesOfFreedom() == (3 * (8 - len(frozen)),) * 2
+    simulation.step(2)
+    held = [i for molecule in frozen for i in range(3 * molecule, 3 * molecule + 3)]
+    np.testing.assert_array_equal(positions_of(simulation.context)[held], x[held])

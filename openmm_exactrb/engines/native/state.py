@@ -47,6 +47,7 @@ class NativeState(Synchronisation):
             if self._behind:
                 self.state, self._behind = self._read(), False
             return False
+        self.context.computeVirtualSites()
         x, v = self.held()
         known = self._read() if variables.marked(self._integrator()) else None
         if changes & LOADED and self._machine["inner"] and not has_saved_forces(self.context, self._integrator()):
