@@ -18,7 +18,7 @@ from openmm_exactrb.context.watch import watch
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.mathematics.compensated import add
 from openmm_exactrb.mechanics.bodies import RigidBodies
-from openmm_exactrb.mechanics.fit import fit, refit
+from openmm_exactrb.mechanics.fit import fit, off_constraints, refit
 from openmm_exactrb.mechanics.images import Shapes
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.openmm_access import arrays
@@ -209,9 +209,10 @@ class Synchronisation:
         return arrays.periodic_box(self.context)
 
     def compared(self, known: State, x: Array, v: Array) -> State:
-        """Return a known state, with bodies refitted if positions or velocities of their particles differ."""
+        """Return a known state, with bodies refitted if their positions, velocities or constraints are now others."""
         bodies, rounded = self.bodies, known.rounded
         moved = _differs(bodies, x, bodies.positions(rounded, x.copy()), *self._same)
+        moved = np.union1d(moved, off_constraints(bodies, rounded))
         pushed = _differs(bodies, v, bodies.velocities(rounded, v.copy()), *self._same)
         return self._refitted(known, x, v, moved, pushed)
 

@@ -94,6 +94,12 @@ def refit(bodies: RigidBodies, known: BodyState, x: Array, v: Array, moved: Indi
     return BodyState(R, P, q, m)
 
 
+def off_constraints(bodies: RigidBodies, state: BodyState) -> Indices:
+    """Return an atom of each cluster that violates its constraints, as in a state that belongs to other constraints."""
+    first, distance = _missed(bodies, state.R, np.arange(len(bodies)))
+    return first[distance > _REACHED]
+
+
 def best_attitudes(masses: Array, sites: Array, relative: Array) -> Array:
     """Return the orientations (4, n) that best fit sites to centred positions (doi:10.1107/S0567739476001873)."""
     if len(sites) == 1:

@@ -11,7 +11,7 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 from openmm_exactrb.command.main import main
-from starts import context_of, positions_of, simulation_of, system_of, topology_of
+from starts import REFERENCE, context_of, positions_of, simulation_of, system_of, topology_of, velocities_of
 
 SEEDS = st.integers(0, 2**32 - 1)
 ENGINES = ["host", "auto"]
@@ -183,6 +183,42 @@ def test_a_minimisation_mends_what_a_step_refuses(name, rng):
     simulation.minimizeEnergy(maxIterations=5)
     simulation.step(1)
     assert start.missed(positions_of(simulation.context)) < 1e-13
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("scheme", ["S2_2", "W2_1"])
+@pytest.mark.parametrize("how", ["reinitialize", "checkpoint", "State"])
+@pytest.mark.parametrize("name", MOLECULES)
+def test_other_lengths_of_constraints_hold_from_the_next_call(name, how, scheme, engine, rng):
+    """As if the positions had been set, wherever the state comes from."""
+    start = Start(name, rng, lambda rng: 0.0)
+    system = start.system
+    integrator = rb.ExactRigidBodyIntegrator(0.001, scheme, engine=engine)
+    context = context_of(system, integrator, start.x, kelvin=300.0)
+    integrator.step(3)
+    x = positions_of(context)
+    start.constraints = [(i, j, (1.0 + 0.01 * (k + 1)) * length) for k, (i, j, length) in enumerate(start.constraints)]
+    if how == "reinitialize":
+        for k, constraint in enumerate(start.constraints):
+            system.setConstraintParameters(k, *constraint)
+        context.reinitialize(preserveState=True)
+    else:
+        saved = context
+        integrator = rb.ExactRigidBodyIntegrator(0.001, scheme, engine=engine)
+        context = openmm.Context(start.system, integrator, REFERENCE)
+        if how == "checkpoint":
+            context.loadCheckpoint(saved.createCheckpoint())
+        else:
+            context.setState(saved.getState(positions=True, velocities=True, integratorParameters=True))
+    with pytest.warns(rb.ShapeWarning, match="were corrected"):
+        integrator.step(0)
+    assert start.missed(positions_of(context)) < 1e-13
+    other = context_of(start.system, rb.ExactRigidBodyIntegrator(0.001, scheme), positions_of(context))
+    other.setVelocities(velocities_of(context))
+    for one in (context, other):
+        one.getIntegrator().step(1)
+    np.testing.assert_allclose(positions_of(context), positions_of(other), rtol=0.0, atol=1e-12)
+    assert np.linalg.norm(positions_of(context) - x, axis=1).max() < 0.02
 
 
 # -- the command --------------------------------------------------------------------------------------------------

@@ -269,9 +269,11 @@ def test_a_thermostat_is_noticed_when_collisions_begin(switch, engine):
     assert abs(plain.totalEnergy()._value - begin) < 1.0
     on(context, 1e6)
     plain.step(2)
-    begin = plain.kineticEnergies()[0]._value
-    plain.step(1)
-    assert abs(plain.kineticEnergies()[0]._value - begin) > 1.0  # all velocities are drawn again
+    seen = []
+    for _ in range(6):  # of which any two may be close by chance, because all velocities are drawn again in each step
+        seen.append(plain.kineticEnergies()[0]._value)
+        plain.step(1)
+    assert np.ptp(seen) > 5.0
     on(context, 0.0)
     plain.step(1)
     begin = plain.totalEnergy()._value
