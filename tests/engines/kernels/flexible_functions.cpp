@@ -37,13 +37,9 @@ int forces(const char* kind, int terms, int atoms, int harmonics, double* x, con
 void move(int clusters, double t, const int* table, const int* graphs, const double* inverse, const double* lengths,
         double* x, double* v, int relaxes, const double* before, const double* after, double* heat) {
     Flexible kernels{Constants()};
-    for (int c = 0; c < clusters; c++) {
-        const int *cluster = table+Flexible::CLUSTER_ROW*c, at = cluster[Flexible::FIRST_ATOM];
-        if (cluster[Flexible::GRAPH] < 0)
-            kernels.move_star(false, t, cluster, at, inverse, lengths, relaxes, before, after, heat, numbers(x), numbers(v));
-        else
-            kernels.move_graph(t, cluster, at, graphs, inverse, lengths, NULL, relaxes, before, after, heat, numbers(x), numbers(v));
-    }
+    int row[Flexible::BLOCK_ROW] = {};
+    row[Flexible::CLUSTERS] = clusters;
+    kernels.move_clusters(t, row, 0, table, graphs, inverse, lengths, NULL, relaxes, before, after, heat, numbers(x), numbers(v));
 }
 
 // Write the four sums over atoms; `place` is the index of the heat among the numbers of a thermostat, or negative.

@@ -185,3 +185,32 @@ def test_clusters_that_diverge_are_no_numbers(kernels, name):
     cluster = Cluster(name)
     x, v = cluster.start
     assert mp.isnan(cluster.moved(kernels, (x, [[1e9 * c for c in row] for row in v]), 1.0)[0][0][0])
+
+
+@pytest.mark.parametrize("name", ["XH", "XH2", "XH3", "XH4"])
+@pytest.mark.parametrize("t", [0.0, 0.002])
+def test_a_cluster_does_not_depend_on_those_beside_it(kernels, name, t):
+    """Several stars are moved at once, unless the step of one of them is divided, as that of the last one here."""
+    one = Cluster(name)
+    n, rng = len(one.order), np.random.default_rng(4)
+    x, v = ([a] * 11 for a in one.numbers(one.start))
+    v = [a * np.array(-1.0 if k % 2 else 1.0 + 0.1 * k) for k, a in enumerate(v)]
+    v[-1] = 300.0 * v[-1]
+    exchanged = rng.standard_normal((2, 11, n, 3))
+    together = moved_together(kernels, one, t, x, v, exchanged)
+    for k in range(11):
+        alone = moved_together(kernels, one, t, x[k : k + 1], v[k : k + 1], exchanged[:, k : k + 1])
+        for many, single in zip(together, alone, strict=True):
+            np.testing.assert_array_equal(many[n * k : n * k + n], single)
+
+
+def moved_together(kernels, one, t, x, v, exchanged):
+    """Return positions, velocities and the heat of copies of a cluster after a motion over t."""
+    count, n, (table, graphs, inverse, lengths) = len(x), len(one.order), one.tables
+    rows = np.repeat(table, count, axis=0)
+    rows[:, 0] += n * np.arange(count, dtype=np.int32)
+    tables = [rows, graphs, np.tile(inverse, count), np.tile(lengths[:n], count)]
+    state, heat = [np.concatenate(a) for a in (x, v)], np.zeros(n * count)
+    before, after = (np.ascontiguousarray(a.reshape(-1, 3)) for a in exchanged)
+    kernels("move", count, t, *tables, *state, 1, before, after, heat)
+    return *state, heat

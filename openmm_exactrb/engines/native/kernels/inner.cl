@@ -108,6 +108,24 @@ DEVICE inline void move_atom(int atom, int first, int last, GLOBAL const int* mo
         v[3*atom+e] = V[e];
 }
 
+#ifndef PROCESSOR
+// Advance the clusters of a block by t.
+DEVICE inline void move_clusters(double t, GLOBAL const int* row, int first_atom, GLOBAL const int* clusters, GLOBAL const int* graphs, GLOBAL const double* inverse,
+        GLOBAL const double* lengths, GLOBAL double* room, bool relaxes, GLOBAL const double* before, GLOBAL const double* after, GLOBAL double* heat,
+        LOCAL_ARG number* xs, GLOBAL number* v) {
+    for (int done = 0; done < row[CLUSTERS]; done += LOCAL_SIZE/TEAM) {
+        const int c = done+(int) (LOCAL_ID/TEAM);
+        const bool idle = c >= row[CLUSTERS];
+        GLOBAL const int* cluster = clusters+CLUSTER_ROW*(row[FIRST_CLUSTER]+(idle ? 0 : c));
+        const int first = cluster[FIRST_ATOM], at = first-first_atom;
+        const bool star = cluster[GRAPH] < 0;
+        move_star(idle || !star, t, first, at, cluster[ATOMS_OF_CLUSTER], inverse, lengths, relaxes, before, after, heat, xs, v);
+        if (GRAPHS > 0 && !idle && !star && LOCAL_ID%TEAM == 0)
+            move_graph(t, cluster, at, graphs, inverse, lengths, room, relaxes, before, after, heat, xs, v);
+    }
+}
+#endif
+
 KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL mixed4* velm, GLOBAL const component* force,
         GLOBAL const int4* places, GLOBAL const double* box, GLOBAL const number* x, GLOBAL number* y, GLOBAL number* v, GLOBAL double* memory,
         GLOBAL double* differences, GLOBAL double* here, GLOBAL number* push, GLOBAL number* seen, GLOBAL double* exchanged, GLOBAL double* heat,
@@ -168,15 +186,8 @@ KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL
                     for (int i = 3*first_atom+LOCAL_ID; i < 3*(first_atom+own); i += LOCAL_SIZE)
                         seen[i] = v[i];
                 SYNC_THREADS
-                for (int done = 0; done < row[CLUSTERS]; done += LOCAL_SIZE/TEAM) {
-                    const int c = done+(int) (LOCAL_ID/TEAM);
-                    const bool idle = c >= row[CLUSTERS];
-                    GLOBAL const int* cluster = clusters+CLUSTER_ROW*(row[FIRST_CLUSTER]+(idle ? 0 : c));
-                    const int at = cluster[FIRST_ATOM]-first_atom;
-                    move_star(idle, t, cluster, at, inverse, lengths, relaxes, EXCHANGED(BEFORE_EXCHANGES, 0), EXCHANGED(AFTER_EXCHANGE, 0), heat, xs, rates);
-                    if (GRAPHS > 0 && !idle && cluster[GRAPH] >= 0 && LOCAL_ID%TEAM == 0)
-                        move_graph(t, cluster, at, graphs, inverse, lengths, room, relaxes, EXCHANGED(BEFORE_EXCHANGES, 0), EXCHANGED(AFTER_EXCHANGE, 0), heat, xs, rates);
-                }
+                move_clusters(t, row, first_atom, clusters, graphs, inverse, lengths, room, relaxes, EXCHANGED(BEFORE_EXCHANGES, 0), EXCHANGED(AFTER_EXCHANGE, 0),
+                    heat, xs, rates);
             }
             SYNC_THREADS
             if (broken)

@@ -50,51 +50,53 @@ typedef vector3 mixed4;
 
 // A number of the state: a double and its rounding error. Sums have the rounding error of D. E. Knuth (The Art of
 // Computer Programming 2, 4.2.2, theorem B), as in openmm_exactrb.mathematics.compensated.
-struct number {
-    double high, low;
-    number() = default;
-    number(double high, double low = 0.0) : high(high), low(low) {
+template <class T> struct number_of {
+    T high, low;
+    number_of() = default;
+    number_of(T high, T low = T()) : high(high), low(low) {
     }
-    operator double() const {
+    operator T() const {
         return high;
     }
-    number& operator+=(double step) {
-        const double b = step+low, sum = high+b, shadow = sum-high;
+    number_of& operator+=(T step) {
+        const T b = step+low, sum = high+b, shadow = sum-high;
         low = (high-(sum-shadow))+(b-shadow);
         high = sum;
         return *this;
     }
-    number& operator-=(double step) {
+    number_of& operator-=(T step) {
         return *this += -step;
     }
 };
+typedef number_of<double> number;
 
 inline double low_parts_along(const double* a, const number* q) {
     return a[0]*q[0].low+a[1]*q[1].low+a[2]*q[2].low+a[3]*q[3].low;
 }
 
 // The difference of two numbers, and the rounding error of the result.
-inline double apart(const number& a, const number& b, double* rest) {
-    const double high = a.high-b.high, shadow = a.high-high, error = (a.high-(high+shadow))+(shadow-b.high);
-    const double low = error+(a.low-b.low), sum = high+low;
+template <class T> inline T apart(const number_of<T>& a, const number_of<T>& b, T* rest) {
+    const T high = a.high-b.high, shadow = a.high-high, error = (a.high-(high+shadow))+(shadow-b.high);
+    const T low = error+(a.low-b.low), sum = high+low;
     *rest = low-(sum-high);
     return sum;
 }
 
-// The largest power of two up to a positive number.
-inline double power_of_two(double x) {
-    mm_ulong bits;
-    memcpy(&bits, &x, sizeof(x));
-    bits &= 0x7FF0000000000000UL;
-    memcpy(&x, &bits, sizeof(x));
+// The largest power of two up to a positive number, or to each of several numbers.
+template <class T> inline T power_of_two(T x) {
+    mm_ulong bits[sizeof(T)/8];
+    memcpy(bits, &x, sizeof(T));
+    for (mm_ulong& b : bits)
+        b &= 0x7FF0000000000000UL;
+    memcpy(&x, bits, sizeof(T));
     return x;
 }
 
 // (d*d-r.r)/2, with an error below 1e-7 times the rounding error of d*d: numbers are divided into multiples of d/2^26 or
 // so, whose squares are exact, and remainders.
-inline double half_defect(double d, const double* r, const double* rest) {
-    const double to_grid = 201326592.0*power_of_two(d), coarse = (d+to_grid)-to_grid;
-    double near[3], defect = coarse*coarse;
+template <class T> inline T half_defect(T d, const T* r, const T* rest) {
+    const T to_grid = 201326592.0*power_of_two(d), coarse = (d+to_grid)-to_grid;
+    T near[3], defect = coarse*coarse;
     EACH(e, 3) {
         near[e] = (r[e]+to_grid)-to_grid;
         defect -= near[e]*near[e];

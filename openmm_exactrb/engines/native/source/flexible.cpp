@@ -1,5 +1,5 @@
 // The kernels of flexible molecules for processors.
-#include "several.h"
+#include "stars.h"
 #define FINE double
 #define FINES several
 #define EXACTS several
@@ -42,34 +42,47 @@ struct Flexible : Thread {
 #define SETTLED 1e-16
 #define SHORTEST (1.0/4096)
 #include "../kernels/pair.cl"
-    // Larger stars have a struct for each number of constraints.
-    template <int RAYS> struct Star {
+    // Larger stars have a struct for each number of constraints, for a single star and for several stars.
+    template <int RAYS, class REALS, class INDICES, bool SEVERAL> struct Star {
+        typedef number_of<REALS> NUMBERS;
 #include "../kernels/star.cl"
     };
-    void move_star(bool idle, double t, const int* cluster, int at, const double* inverse_masses, const double* lengths, bool relaxes, const double* before,
-            const double* after, double* heat, number* xs, number* v) {
-        if (idle || cluster[GRAPH] >= 0)
+#include "../kernels/graph.cl"
+    // Advance stars with the same number of constraints, from the first row of a table on.
+    template <int RAYS> void move_stars(int stars, double t, const int* cluster, int first_atom, const double* inverse, const double* lengths, bool relaxes,
+            const double* before, const double* after, double* heat, number* xs, number* v) {
+        Atoms first, at;
+        EACH(l, AT_ONCE) {
+            first.of[l] = cluster[CLUSTER_ROW*std::min(l, stars-1)+FIRST_ATOM];
+            at.of[l] = first.of[l]-first_atom;
+        }
+        if (stars > 1 && Star<RAYS, several, Atoms, true>().move_star(false, t, first, at, RAYS+1, inverse, lengths, relaxes, before, after, heat, xs, v))
             return;
-        const int first = cluster[FIRST_ATOM];
-        switch (cluster[ATOMS_OF_CLUSTER]) {
-        case 1:
-            for (int e = 0; e < 3; e++)
-                xs[3*at+e] += t*v[3*first+e];
-            break;
-        case 2:
-            move_pair(t, cluster, at, inverse_masses, lengths, relaxes, before, after, heat, xs, v);
-            break;
-        case 3:
-            Star<2>().move_star(idle, t, cluster, at, inverse_masses, lengths, relaxes, before, after, heat, xs, v);
-            break;
-        case 4:
-            Star<3>().move_star(idle, t, cluster, at, inverse_masses, lengths, relaxes, before, after, heat, xs, v);
-            break;
-        default:
-            Star<4>().move_star(idle, t, cluster, at, inverse_masses, lengths, relaxes, before, after, heat, xs, v);
+        for (int l = 0; l < stars; l++)
+            Star<RAYS, double, int, false>().move_star(false, t, first.of[l], at.of[l], RAYS+1, inverse, lengths, relaxes, before, after, heat, xs, v);
+    }
+    // Advance the clusters of a block by t.
+    void move_clusters(double t, const int* row, int first_atom, const int* clusters, const int* graphs, const double* inverse, const double* lengths, double* room,
+            bool relaxes, const double* before, const double* after, double* heat, number* xs, number* v) {
+        for (int c = 0, stars; c < row[CLUSTERS]; c += stars) {
+            const int *cluster = clusters+CLUSTER_ROW*(row[FIRST_CLUSTER]+c), first = cluster[FIRST_ATOM], at = first-first_atom, atoms = cluster[ATOMS_OF_CLUSTER];
+            auto is_another = [&](const int* other) { return other[GRAPH] < 0 && other[ATOMS_OF_CLUSTER] == atoms; };
+            stars = 1;
+            if (cluster[GRAPH] >= 0)
+                move_graph(t, cluster, at, graphs, inverse, lengths, room, relaxes, before, after, heat, xs, v);
+            else if (atoms == 1)
+                for (int e = 0; e < 3; e++)
+                    xs[3*at+e] += t*v[3*first+e];
+            else if (atoms == 2)
+                move_pair(t, cluster, at, inverse, lengths, relaxes, before, after, heat, xs, v);
+            else {
+                while (stars < AT_ONCE && c+stars < row[CLUSTERS] && is_another(cluster+CLUSTER_ROW*stars))
+                    stars++;
+                const auto move = atoms == 3 ? &Flexible::move_stars<2> : atoms == 4 ? &Flexible::move_stars<3> : &Flexible::move_stars<4>;
+                (this->*move)(stars, t, cluster, first_atom, inverse, lengths, relaxes, before, after, heat, xs, v);
+            }
         }
     }
-#include "../kernels/graph.cl"
 #include "../kernels/bonded.cl"
 #include "../kernels/inner.cl"
 #include "../kernels/sums.cl"
