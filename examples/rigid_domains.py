@@ -96,7 +96,7 @@ def run(args: argparse.Namespace) -> None:
     )
     simulation = app.Simulation(topology_of(SEQUENCE), system, integrator, openmm.Platform.getPlatform(args.platform))
     simulation.context.setPositions(start())
-    simulation.minimizeEnergy(maxIterations=100)
+    integrator.minimizeEnergy(maxIterations=100)
     integrator.setVelocitiesToTemperature(TEMPERATURE * kelvin, 1)
     job.advance(simulation, args.steps)
 

@@ -25,6 +25,7 @@ from openmm_exactrb.context import variables
 from openmm_exactrb.engines.catalogue import ENGINES
 from openmm_exactrb.openmm_access import settings_text
 from openmm_exactrb.openmm_access.handed_out import hand_out
+from openmm_exactrb.parts import know, known
 from openmm_exactrb.schemes import Scheme, scheme_for_thermostat
 from openmm_exactrb.thermostat import Thermostat
 
@@ -97,13 +98,20 @@ def restored(kind: Any, attributes: dict[str, Any], arguments: dict[str, Any], s
     return integrator
 
 
-def copied_by_openmm(kind: type[Any]) -> None:
-    """Let OpenMM's functions return integrators of a class, or of its subclasses, with their Python part."""
+def copied_by_openmm(kind: type[Any], agree: Callable[[Any], None]) -> Callable[[Any], Any]:
+    """Let OpenMM's functions return integrators of a class, or of its subclasses, with their Python part.
+
+    Return the function completed(face) that returns the integrator of the C++ part that a Python object represents. The
+    function agree(integrator) adopts settings that C++ has changed.
+    """
 
     def completed(face: Any) -> Any:
         """Return the integrator whose C++ part OpenMM returned; every other integrator is returned unchanged."""
         if type(face) is not openmm.CustomIntegrator:
             return face
+        if (integrator := known(face)) is not None:
+            agree(integrator)
+            return integrator
         text = settings_text.read(face)
         if text is None:
             if variables.declared(face):
@@ -115,6 +123,9 @@ def copied_by_openmm(kind: type[Any]) -> None:
         integrator = _read(text, face, kind)
         if not face.thisown:  # a part of another integrator, whose C++ part remains where it is
             integrator.this, face.this = face.this, integrator.this
+            face.thisown = 1
+            integrator.setRandomNumberSeed(integrator.getRandomNumberSeed())
+            know(integrator)
         return integrator
 
     def prepare(xml: str) -> None:
@@ -122,6 +133,7 @@ def copied_by_openmm(kind: type[Any]) -> None:
             engine.prepare_to_read(xml)
 
     hand_out(completed, prepare)
+    return completed
 
 
 def _read(text: str, face: openmm.CustomIntegrator, kind: type[Any]) -> Any:

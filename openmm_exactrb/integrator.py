@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import operator
 import threading
 import time
 import weakref
@@ -12,27 +13,31 @@ from typing import Any
 import openmm
 from openmm import unit
 
-from openmm_exactrb.context.body_access import BodyAccess
-from openmm_exactrb.context.replaced import replace_methods
+from openmm_exactrb.context.bath_access import BathAccess
+from openmm_exactrb.context.minimiser import check, prepare
+from openmm_exactrb.context.own_methods import give_to, replace_in_openmm
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.updates import warn_of_removed_motion
 from openmm_exactrb.copies import SETTINGS, Copied, copied_by_openmm
 from openmm_exactrb.engines.engine import Propagator, Settings
+from openmm_exactrb.engines.library import library, of_library
 from openmm_exactrb.engines.selection import Selection
 from openmm_exactrb.mechanics.free_motion import Constrain
 from openmm_exactrb.multiple_time_steps.fast_forces import MultipleTimeSteps
 from openmm_exactrb.openmm_access.closed_program import OwnProgram
-from openmm_exactrb.openmm_access.find_context import find_context
+from openmm_exactrb.openmm_access.find_context import NO_CONTEXT, find_context
 from openmm_exactrb.openmm_access.units import check_first_arguments, picoseconds
+from openmm_exactrb.parts import held_by_openmm, know
 from openmm_exactrb.rotors import ROTORS, Rotor
 from openmm_exactrb.rotors import look_up as look_up_rotor
 from openmm_exactrb.schemes import Scheme, splitting
 from openmm_exactrb.schemes import scheme as look_up
+from openmm_exactrb.step_sizes import described, step_size, steps_for, warn_of_barostats
 from openmm_exactrb.support import checks
 from openmm_exactrb.thermostat import Noise, Thermostat, valid_seed
 
 
-class ExactRigidBodyIntegrator(Copied, OwnProgram, openmm.CustomIntegrator, BodyAccess):
+class ExactRigidBodyIntegrator(Copied, OwnProgram, openmm.CustomIntegrator, BathAccess):
     """Rigid-body dynamics with the exact free rotation and a symmetric splitting.
 
     Rigid bodies are the clusters of particles that the constraints of the System make rigid. Particles without
@@ -120,6 +125,8 @@ class ExactRigidBodyIntegrator(Copied, OwnProgram, openmm.CustomIntegrator, Body
             )
         self._fast = MultipleTimeSteps.of(fast, inner, innerSteps)
         self._thermostat = thermostat
+        if thermostat is not None:
+            thermostat.require_inner(None if self._fast is None else self._fast.scheme)
         if scheme is None:
             scheme = DEFAULT if thermostat is None else thermostat.scheme
         self._scheme = look_up(scheme) if thermostat is None else splitting(scheme)
@@ -127,7 +134,7 @@ class ExactRigidBodyIntegrator(Copied, OwnProgram, openmm.CustomIntegrator, Body
         self._check = checks.switch(checkDivergence, "checkDivergence")
         self._bodies = None if bodies is None else checks.lists_of_indices(bodies, "bodies")
         self._constraints = checks.functions(constraints, "constraints")
-        self._h = self._step_of(stepSize, forceInterval)
+        self._h = step_size(stepSize, forceInterval, self._proposal)
         super().__init__(self._h)
         self._noise, self._version, self._groups = Noise(), 0, -1
         self._selection = Selection(engine, self._settings())
@@ -136,8 +143,14 @@ class ExactRigidBodyIntegrator(Copied, OwnProgram, openmm.CustomIntegrator, Body
         self._context: weakref.ref[Any] | None = None
         self._propagator: Propagator | None = None
         self._at_work = threading.Lock()  # held while `step` runs
+        self._minimised = False  # by OpenMM's minimiser since the last call
+        self._is_part = False  # of a CompoundIntegrator
         self._made = True
         self._complete(of_subclass)
+        if of_library(self):
+            know(self)
+        else:
+            replace_in_openmm(ExactRigidBodyIntegrator)
 
     # -- settings -------------------------------------------------------------------------------------------------
 
@@ -151,7 +164,8 @@ class ExactRigidBodyIntegrator(Copied, OwnProgram, openmm.CustomIntegrator, Body
 
     def getThermostat(self) -> Thermostat | None:
         """Return the thermostat, or None at constant energy."""
-        return self._thermostat
+        thermostat: Thermostat | None = self._thermostat
+        return thermostat
 
     def getNamedBodies(self) -> list[list[int]] | None:
         """Return the particles of each body that was passed as `bodies`, or None."""
@@ -175,9 +189,25 @@ class ExactRigidBodyIntegrator(Copied, OwnProgram, openmm.CustomIntegrator, Body
     def forceEvaluationsPerStep(self) -> int:
         """Number of force evaluations per step, excluding those of fast forces.
 
-        A processed scheme needs `Scheme.output_forces` additional force evaluations per call of `step`.
+        A processed scheme needs `Scheme.output_forces` additional force evaluations per call of `step`. With hybrid
+        Monte Carlo, a rejection, or a scheme that begins with a drift, needs one more.
         """
-        return self._scheme.forces
+        return self._proposal.forces
+
+    def stepsFor(self, time: float | unit.Quantity) -> int:
+        """Return the smallest number of steps that take at least a time, in ps if given without a unit.
+
+        Raises
+        ------
+        ValueError
+            If the value is not a time of at least zero, or the step size is zero.
+        """
+        return steps_for(time, self._h)
+
+    @property
+    def _proposal(self) -> Scheme:
+        """The scheme of a step or, for hybrid Monte Carlo, of a proposal."""
+        return self._scheme if self._thermostat is None else self._thermostat.splitting(self._scheme)[0]
 
     def setStepSize(self, size: float | unit.Quantity) -> None:
         """Set the step size of the scheme, in ps if given without a unit.
@@ -233,30 +263,9 @@ class ExactRigidBodyIntegrator(Copied, OwnProgram, openmm.CustomIntegrator, Body
         return self._selection.engine.name
 
     def engineNote(self) -> str:
-        """Return the reason for the choice of the engine, as a sentence."""
+        """Return the reason for the choice of the engine, and what a step is, as a sentence."""
         self.getEngine()
-        return self._selection.note
-
-    def bind(self, context: openmm.Context) -> None:
-        """Bind the integrator to its Context.
-
-        Call this method only if `step` cannot find the Context of this integrator. Positions may be set later.
-
-        Parameters
-        ----------
-        context : openmm.Context
-            The Context that was created with this integrator.
-
-        Raises
-        ------
-        ValueError
-            If the argument is not a Context, or has another integrator.
-        """
-        if not isinstance(context, openmm.Context):
-            raise ValueError(f"bind() takes a Context such as simulation.context, not {type(context).__name__}")
-        if context.getIntegrator() is not self and getattr(context, "_integrator", None) is not self:
-            raise ValueError("this Context belongs to another integrator: call bind() on that integrator")
-        self._context, self._propagator = weakref.ref(context), None
+        return f"{self._selection.note}; {described(self._h, self.forceEvaluationsPerStep)}"
 
     # -- steps ------------------------------------------------------------------------------------------------------
 
@@ -308,20 +317,6 @@ class ExactRigidBodyIntegrator(Copied, OwnProgram, openmm.CustomIntegrator, Body
         parts = steps, self._scheme, splitting, splits, self._h, self._groups
         return Settings(*parts, self._rotor, self._fast, thermostat, self._bodies, self._check, self._constraints)
 
-    def _step_of(self, size: float | unit.Quantity | None, interval: float | unit.Quantity | None) -> float:
-        """Return the step size in ps, from the step size or from the interval between force evaluations."""
-        if size is not None and interval is not None:
-            raise ValueError("stepSize= and forceInterval= are mutually exclusive: omit one of these arguments")
-        if size is None and interval is None:
-            raise ValueError("stepSize= is missing: pass it, or forceInterval=, the time between force evaluations")
-        if interval is None:
-            return picoseconds(size)
-        if not self.forceEvaluationsPerStep:
-            raise ValueError(
-                f"scheme {self._scheme.name} evaluates no forces: pass stepSize= instead of forceInterval="
-            )
-        return picoseconds(interval) * self.forceEvaluationsPerStep
-
     def _changed(self) -> None:
         self._version += 1  # substeps are bound again before the next step
         self._describe()
@@ -334,8 +329,9 @@ class ExactRigidBodyIntegrator(Copied, OwnProgram, openmm.CustomIntegrator, Body
         return {"arguments": arguments | self._arguments(), "settings": settings}
 
     def __repr__(self) -> str:
-        """Return the type, the step size, the scheme and the rotor."""
-        return f"{type(self).__name__}({self._h:g} ps, scheme={self._scheme.name!r}, rotor={self._rotor.name!r})"
+        """Return the type, the scheme, the rotor and what a step is."""
+        step = described(self._h, self.forceEvaluationsPerStep)
+        return f"{type(self).__name__}(scheme={self._scheme.name!r}, rotor={self._rotor.name!r}; {step})"
 
     def _arguments(self) -> dict[str, Any]:
         """Return the arguments that a copy needs in addition to the common arguments."""
@@ -362,11 +358,36 @@ class ExactRigidBodyIntegrator(Copied, OwnProgram, openmm.CustomIntegrator, Body
         if self._selection.engine is not before:
             self._propagator = None
 
+    def _enter(self, context: openmm.Context) -> None:
+        """Belong to a Context that is being created."""
+        self._context, self._propagator, self._is_part = weakref.ref(context), None, not self.thisown
+        give_to(context, ExactRigidBodyIntegrator)
+
+    def _agree(self) -> None:
+        """Adopt the step size and the active force groups that C++ has set, such as those of a CompoundIntegrator."""
+        if (size := self.getStepSize()._value) != self._h:
+            self.setStepSize(size)
+        if (groups := openmm.CustomIntegrator.getIntegrationForceGroups(self)) != self._groups:
+            self.setIntegrationForceGroups(groups)
+
+    def _expect_minimisation(self) -> None:
+        """Prepare for OpenMM's minimiser, whose result the next call checks."""
+        prepare(self._found(), self._bodies)
+        self._minimised = True
+
     def _found(self) -> Any:
-        return (self._context and self._context()) or find_context(self)
+        context = self._context and self._context()
+        if context is None and of_library(self):
+            raise ValueError(NO_CONTEXT)
+        return context or find_context(self)
 
     def _present(self) -> Propagator:
         """Return the propagator of the present Context."""
+        if self._is_part:
+            library().notice(self)
+        if self._minimised:
+            check(self._found())
+            self._minimised = False
         if self._propagator is None or self._unsettled():
             context, settings = self._found(), self._settings()
             settings.found(context)  # with the warnings that the choice of the engine does not repeat
@@ -374,11 +395,17 @@ class ExactRigidBodyIntegrator(Copied, OwnProgram, openmm.CustomIntegrator, Body
             self._propagator = self._selection.engine.propagator(context, self, settings, self.timings)
             self._propagator.sync.new_trajectory = self._noise.parting(self)
             warn_of_removed_motion(context.getSystem())
+            warn_of_barostats(context, self._h, self.forceEvaluationsPerStep)
         return self._propagator
 
 
-replace_methods(ExactRigidBodyIntegrator)
-copied_by_openmm(ExactRigidBodyIntegrator)
+_agree = operator.methodcaller("_agree")
+held_by_openmm(
+    copied_by_openmm(ExactRigidBodyIntegrator, _agree),
+    lambda integrator, context: integrator._enter(context),  # noqa: SLF001
+    _agree,
+    operator.methodcaller("_expect_minimisation"),
+)
 
 #: The default scheme at constant energy.
 DEFAULT = "W2_1"

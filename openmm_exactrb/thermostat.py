@@ -131,6 +131,9 @@ class Thermostat(ABC):
         """Return a scheme with the drifts and kicks of a step, and the number of steps of `scheme` that it contains."""
         return scheme, 1
 
+    def require_inner(self, scheme: Scheme | None) -> None:  # noqa: B027
+        """Raise ValueError if a scheme of inner steps, if there is one, is not supported."""
+
     def settings(self) -> Mapping[str, Any]:
         """Return the settings that determine a run to the last bit."""
         return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]

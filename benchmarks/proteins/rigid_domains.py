@@ -72,7 +72,7 @@ def gyration(duration: float) -> None:
         context.setState(openmm.XmlSerializer.deserialize(state.read_text()))
     else:
         rows = []
-        openmm.LocalEnergyMinimizer.minimize(context, 10.0, 100)
+        integrator.minimizeEnergy(10.0, 100)
         integrator.setVelocitiesToTemperature(MODEL.TEMPERATURE, 1)
     while context.getTime()._value < duration - 0.5 * SAMPLE:
         integrator.step(round(SAMPLE / STEP))
@@ -136,7 +136,7 @@ def relaxed(system):
     integrator = langevin(5.0)
     context = context_of(system, integrator, MODEL.start())
     integrator.setRandomNumberSeed(2)
-    openmm.LocalEnergyMinimizer.minimize(context, 10.0, 100)
+    integrator.minimizeEnergy(10.0, 100)
     integrator.setVelocitiesToTemperature(MODEL.TEMPERATURE, 2)
     integrator.step(round(200.0 / STEP))
     return positions(context)
@@ -231,7 +231,7 @@ def rotation(seeds=(1, 2, 3), duration: float = 1500.0) -> None:
     for (name, make), seed in itertools.product(kinds.items(), seeds):
         integrator = make()
         context = context_of(system, integrator, MODEL.start()[:120])
-        openmm.LocalEnergyMinimizer.minimize(context, 10.0, 100)
+        integrator.minimizeEnergy(10.0, 100)
         integrator.setRandomNumberSeed(seed)
         integrator.setVelocitiesToTemperature(MODEL.TEMPERATURE, seed)
         found = []

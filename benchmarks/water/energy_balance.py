@@ -2,7 +2,7 @@
 
 A droplet of 27 rigid TIP3P molecules runs for 0.4 ps from one state at 300 K, weakly coupled to the thermostat, at
 three step sizes. The script writes to docs/energy_balance.csv the standard deviations, in kJ/mol, of the sum of kinetic
-and potential energy and of the energy balance, which is `effectiveEnergy` or `conservedEnergy`.
+and potential energy and of the energy balance, which is `effectiveEnergy`.
 
     python benchmarks/water/energy_balance.py
 """
@@ -55,7 +55,7 @@ def spreads(integrator: Any, system: openmm.System, start: Array) -> Array:
     """Return the standard deviations of the sum of the energies and of the balance."""
     context = moving(integrator, system, start)
     integrator.setVelocitiesToTemperature(KELVIN, 1)
-    balance = getattr(integrator, "conservedEnergy", None) or integrator.effectiveEnergy
+    balance = integrator.effectiveEnergy
     per_sample = round(EVERY / integrator.getStepSize().value_in_unit(unit.picosecond))
     energies = []
     for _ in range(round(DURATION / EVERY)):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -171,7 +170,9 @@ def _simulate(
 
     for name, reporter in _reporters(args).items():
         job.add_reporter(reporter, name, max(1, round(args.interval / step)))
-    steps = math.ceil(args.duration / step - 1e-9)
+    steps = integrator.stepsFor(args.duration)
+    if not args.quiet:
+        print(f"{args.duration:g} ps are {steps} steps of {integrator!r}", file=sys.stderr)
     with _progress_bar(f"{args.ensemble}, {integrator.getScheme().name}", steps, args.quiet) as tell:
         job.advance(simulation, steps, tell)
     if args.picture:

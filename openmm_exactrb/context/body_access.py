@@ -145,9 +145,9 @@ class BodyAccess:
     def minimizeEnergy(self, tolerance: float | unit.Quantity = 10.0, maxIterations: int = 0) -> None:
         """Minimise the potential energy.
 
-        Bodies stay rigid, including those passed as `bodies`. ``simulation.minimizeEnergy`` calls this method if the
-        integrator has `bodies`, constraints are redundant or the box has split a constrained molecule. If molecules are
-        constrained but not rigid, this method uses OpenMM's minimiser.
+        Bodies stay rigid, including those passed as `bodies`, and constraints may be redundant, for both of which
+        ``simulation.minimizeEnergy`` raises an error. If molecules are constrained but not rigid, this method uses
+        OpenMM's minimiser.
 
         Parameters
         ----------
@@ -190,7 +190,7 @@ class BodyAccess:
                 sync.pull()
             except (ValueError, openmm.OpenMMException) as error:
                 sync.context.setPositions(start)
-                raise MinimisationError(VIOLATED) from error
+                raise MinimisationError(VIOLATED.format(", so the positions are unchanged")) from error
             sync.push()
             return
         landscape = ContextForces(sync.positions, self.getIntegrationForceGroups(), self.timings).landscape

@@ -1,54 +1,54 @@
-"""Minimisation of Systems on which OpenMM's minimiser fails, because of `bodies` or of unsupported constraints."""
+"""What OpenMM's minimiser needs, and the Systems on which it fails."""
 
 from __future__ import annotations
 
-import functools
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import openmm
 
-from openmm_exactrb.context.solver import mended, satisfied, solvable
+from openmm_exactrb.context.solver import joined_by_constraints, mended, satisfied, solvable
 from openmm_exactrb.errors import MinimisationError
 from openmm_exactrb.openmm_access import arrays
 
-#: The original method of OpenMM's minimiser, which `minimise_by_integrators` replaces.
+#: OpenMM's minimiser, which the package may replace later.
 OPENMM = openmm.LocalEnergyMinimizer.minimize
+_INSTEAD = "call integrator.minimizeEnergy() instead"
 #: The message after a minimisation by OpenMM that violates the constraints.
 VIOLATED = (
-    "OpenMM's minimiser could not satisfy the constraints, so the positions are unchanged: relax them by short steps "
-    "at high friction with checkDivergence=False"
+    "OpenMM's minimiser could not satisfy the constraints{}: relax the positions before by short steps at high "
+    "friction with checkDivergence=False"
 )
 
 
-def minimise_by_integrators(kind: type[Any]) -> None:
-    """Let integrators of a class minimise the energy with ``minimizeEnergy`` where OpenMM's minimiser fails.
+def prepare(context: openmm.Context, named: Sequence[Sequence[int]] | None) -> None:
+    """Prepare a Context for OpenMM's minimiser, which pulls together the parts of molecules that the box has split.
 
-    OpenMM's minimiser would deform bodies passed as `bodies`, and the first step would use the deformed shape. With
-    redundant constraints, the minimiser may return NaN or crash. It also pulls together the parts of molecules that the
-    box has split. The method of OpenMM's minimiser is replaced because ``Simulation.minimizeEnergy`` calls it before
-    the integrator has found its Context.
+    Raises
+    ------
+    MinimisationError
+        If there are bodies passed as `bodies`, which OpenMM's minimiser would deform, or redundant constraints, with
+        which it may return NaN or crash.
     """
+    if named:
+        raise MinimisationError(f"OpenMM's minimiser would deform the bodies passed as bodies=: {_INSTEAD}")
+    mended(context)
+    system, x = context.getSystem(), arrays.positions(context.getState(positions=True))
+    whole = joined_by_constraints(context, x)
+    if not solvable(system, whole):
+        raise MinimisationError(f"OpenMM's minimiser fails on constraints that follow from others: {_INSTEAD}")
+    if whole is not x:
+        context.setPositions(whole)
 
-    @functools.wraps(OPENMM)
-    def minimise(context: Any, tolerance: Any = 10.0, maxIterations: int = 0, reporter: Any = None) -> None:
-        integrator: Any = context.getIntegrator()
-        if not isinstance(integrator, kind):
-            OPENMM(context, tolerance, maxIterations, reporter)
-            return
-        if not integrator.getNamedBodies():
-            mended(context)
-        system, start = context.getSystem(), arrays.positions(context.getState(positions=True))
-        if not integrator.getNamedBodies() and solvable(system, start):
-            OPENMM(context, tolerance, maxIterations, reporter)
-            if not satisfied(system, arrays.positions(context.getState(positions=True))):
-                context.setPositions(start)
-                raise MinimisationError(VIOLATED)
-            return
-        if reporter is not None:
-            raise ValueError(
-                "reporter= is not supported for bodies given in bodies=, for redundant constraints, or for molecules "
-                "that the periodic box has split: omit reporter="
-            )
-        integrator.minimizeEnergy(tolerance, maxIterations)
 
-    openmm.LocalEnergyMinimizer.minimize = staticmethod(minimise)
+def check(context: openmm.Context) -> None:
+    """Raise MinimisationError if positions that OpenMM's minimiser left violate the constraints."""
+    if not satisfied(context.getSystem(), arrays.positions(context.getState(positions=True))):
+        raise MinimisationError(VIOLATED.format(""))
+
+
+def minimise(original: Callable[..., None], context: Any, *arguments: Any, **options: Any) -> None:
+    """Minimise the energy of a Context with an integrator of this package by OpenMM's method `original`."""
+    prepare(context, context.getIntegrator().getNamedBodies())
+    original(context, *arguments, **options)
+    check(context)

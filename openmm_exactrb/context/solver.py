@@ -45,6 +45,14 @@ def satisfied(system: openmm.System, x: Array) -> bool:
     return bool((np.abs(_distances(pairs, x)[1] - lengths) <= _MISSED * lengths).all())
 
 
+def joined_by_constraints(context: Any, x: Array) -> Array:
+    """Return positions (n_particles, 3) in which constrained particles are in the same image of the periodic box."""
+    box = arrays.periodic_box(context)
+    if box is None:
+        return x
+    return joined(x, Links(*_enforced(context.getSystem()), len(x)), box)
+
+
 def mended(context: Any) -> float:
     """Let OpenMM's solver put positions on the constraints if they are too far from these for a first step.
 
@@ -57,8 +65,7 @@ def mended(context: Any) -> float:
     """
     system, x = context.getSystem(), arrays.positions(context.getState(positions=True))
     pairs, lengths = _enforced(system)
-    box = arrays.periodic_box(context)
-    whole = x if box is None else joined(x, Links(pairs, lengths, len(x)), box)
+    whole = joined_by_constraints(context, x)
     apart, distance = _distances(pairs, whole)
     missed = float(np.abs(distance - lengths).max(initial=0.0))
     if (

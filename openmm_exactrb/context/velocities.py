@@ -9,8 +9,8 @@ CMMotionRemover acts.
 
 from __future__ import annotations
 
-import functools
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -25,29 +25,20 @@ from openmm_exactrb.openmm_access.units import gas_constant_times
 _LEFT = 1e-3
 
 
-def draw_by_integrators(kind: type[Any]) -> None:
-    """Let integrators of a class draw velocities, with their method of the same name, if OpenMM's solver fails.
+def draw(original: Callable[..., None], context: Any, *arguments: Any) -> None:
+    """Draw velocities as OpenMM does, or by the integrator's method of the same name if OpenMM's solver fails.
 
-    The method of all Contexts is replaced, because it may be called before the integrator has found its Context.
+    `original` is the method of OpenMM.
     """
-    method = openmm.Context.setVelocitiesToTemperature
-
-    @functools.wraps(method)
-    def draw(context: Any, *arguments: Any) -> None:
-        integrator: Any = context.getIntegrator()
-        if not isinstance(integrator, kind):
-            method(context, *arguments)
+    integrator: Any = context.getIntegrator()
+    before = context.getState(velocities=True).getVelocities()
+    if not integrator.getNamedBodies():
+        original(context, *arguments)
+        if _fit(context, *arguments):
+            _stop(context)
             return
-        before = context.getState(velocities=True).getVelocities()
-        if not integrator.getNamedBodies():
-            method(context, *arguments)
-            if _fit(context, *arguments):
-                _stop(context)
-                return
-        context.setVelocities(before)
-        integrator.setVelocitiesToTemperature(*arguments)
-
-    openmm.Context.setVelocitiesToTemperature = draw
+    context.setVelocities(before)
+    integrator.setVelocitiesToTemperature(*arguments)
 
 
 def _fit(context: Any, temperature: Any, *_: Any) -> bool:

@@ -11,10 +11,13 @@ import ctypes
 import logging
 import os
 import shutil
+import signal
 import stat
 import sys
+import threading
 import time
 import weakref
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -30,6 +33,8 @@ from openmm_exactrb.support.lock import only_process
 
 _log = logging.getLogger("openmm_exactrb")
 
+# OpenMM's own function, which the package replaces later.
+_read = openmm.XmlSerializer.__dict__["_deserializeIntegrator"].__func__
 #: The type of the library's integrators in XML.
 TYPE = "openmm_exactrb (import this package before you read its integrators)"
 #: The environment variable that names the folder for compiled libraries; the default folder is in the user's cache.
@@ -43,6 +48,14 @@ SLOWER = (
     "steps are performed in Python; with the package's library, a single molecule would run up to 60 times as fast, "
     "and 27 water molecules or a small peptide twice as fast: %s"
 )
+
+
+# Types of the functions in `Library.call_back`.
+_BOUND = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_longlong)
+_STEP = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_longlong, ctypes.c_int)
+_ASKED = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_longlong)
+
+_listeners: list[Any] = []
 
 
 class Library:
@@ -71,7 +84,7 @@ class Library:
 
     def make(self) -> Any:
         """Return a new integrator without a program; in Python it is an openmm.CustomIntegrator."""
-        return openmm.XmlSerializer.deserialize(f'<Integrator type="{TYPE}" version="1" stepSize="0"/>')
+        return _read(f'<Integrator type="{TYPE}" version="1" stepSize="0"/>')
 
     def adopt(self, integrator: Any) -> None:
         """Make a new Python integrator, which has no Context and no variables yet, an integrator of this library."""
@@ -82,6 +95,50 @@ class Library:
     def owns(self, integrator: Any) -> bool:
         """Return whether this library created an integrator."""
         return bool(self._functions.pi_owns(ctypes.c_void_p(int(integrator.this))))
+
+    def number(self, integrator: Any) -> int:
+        """Return the number of an integrator of this library, which unlike its address is not used again."""
+        number = ctypes.c_longlong()
+        self.call("number", integrator, ctypes.byref(number))
+        return number.value
+
+    def notice(self, integrator: Any) -> None:
+        """Let an integrator of this library notice that another part of a CompoundIntegrator has moved particles."""
+        self.call("notice", integrator)
+
+    def face(self, pointer: int) -> Any:
+        """Return a Python object, which does not own it, for an existing integrator of this library."""
+        self._functions.pi_hand(ctypes.c_void_p(pointer))
+        face = self.make()
+        face.thisown = 0
+        return face
+
+    def call_back(
+        self, bound: Callable[[int, int], None], step: Callable[[int, int], None], asked: Callable[[int], None]
+    ) -> None:
+        """Let integrators with settings call functions of Python.
+
+        bound(pointer, number) is called while a Context is created, step(number, steps) for steps that C++ starts, and
+        asked(number) when C++ asks for the tolerance of constraints. If such a function raises an error, C++ throws an
+        OpenMMException with its message.
+        """
+        kinds = (_BOUND, bound), (_STEP, step), (_ASKED, asked)
+        self._callbacks = [kind(self._reporting(function)) for kind, function in kinds]
+        self._functions.pi_hooks(*self._callbacks)
+
+    def _reporting(self, function: Callable[..., None]) -> Callable[..., int]:
+        """Return a function that calls another one, and returns 1 after an error, which is reported to C++."""
+
+        def reporting(*arguments: Any) -> int:
+            try:
+                function(*arguments)
+            except BaseException as error:  # an error that leaves a callback is lost
+                message = str(error) or type(error).__name__
+                self._functions.pi_fail(message.encode(), isinstance(error, KeyboardInterrupt) and _repeatable())
+                return 1
+            return 0
+
+        return reporting
 
     def step_openmm(self, integrator: Any, steps: int) -> None:
         """Let OpenMM perform its own part of steps, in which barostats and thermostats of the System act."""
@@ -205,6 +262,12 @@ class Machine:
         return value.value
 
 
+def _repeatable() -> bool:
+    """Return whether SIGINT raises KeyboardInterrupt in this thread."""
+    handled = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    return handled and threading.current_thread() is threading.main_thread()
+
+
 def library() -> Library:
     """Return the library; raise MissingLibraryError if it is not available."""
     found = _loaded()
@@ -217,9 +280,17 @@ def library() -> Library:
 def _loaded() -> Library | str:
     """Return the library, or the reason why it is not available; this is found out once in a process."""
     try:
-        return Library(_bundled() or compiled())
+        found = Library(_bundled() or compiled())
     except (MissingLibraryError, CompilationError) as error:
         return str(error)
+    if _listeners:
+        found.call_back(*_listeners)
+    return found
+
+
+def listen(*functions: Callable[..., None]) -> None:
+    """Set the functions that the integrators of the library call; see `Library.call_back`."""
+    _listeners[:] = functions
 
 
 def of_library(integrator: Any) -> bool:

@@ -7,6 +7,9 @@ from typing import Any
 
 import openmm
 
+#: The message about an integrator without a Context.
+NO_CONTEXT = "the integrator has no Context yet: create a Simulation or a Context with the integrator"
+
 
 def find_context(integrator: openmm.Integrator) -> openmm.Context:
     """Find the Context that was created with an integrator; raise ValueError if it does not exist yet."""
@@ -16,10 +19,7 @@ def find_context(integrator: openmm.Integrator) -> openmm.Context:
         context = _referring(integrator)
         gc.freeze()
     if context is None:
-        raise ValueError(
-            "the integrator has no Context yet: create a Simulation or a Context with the integrator, or call "
-            "bind(context)"
-        )
+        raise ValueError(NO_CONTEXT)
     return context
 
 

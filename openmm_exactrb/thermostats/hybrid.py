@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple, Unpack
+from typing import ClassVar, Unpack
 
 from openmm import unit
 
@@ -26,13 +26,6 @@ from openmm_exactrb.substeps import Substep
 from openmm_exactrb.support.checks import positive, whole
 from openmm_exactrb.thermostats.face import Options
 from openmm_exactrb.thermostats.langevin import ExactRigidBodyLangevinIntegrator, Langevin
-
-
-class Tally(NamedTuple):
-    """The numbers of accepted proposals and of all proposals."""
-
-    accepted: int = 0
-    proposed: int = 0
 
 
 def accepts(rise: float, kT: float, u: float) -> bool:
@@ -128,6 +121,10 @@ class HybridMonteCarlo(Langevin):
         proposal = thermostatted.proposal(scheme, self.stepsPerProposal)
         return thermostatted.with_proposals(scheme, Metropolis(proposal, self.temperature))
 
+    def require_inner(self, scheme: Scheme | None) -> None:
+        """Raise ValueError if the scheme of inner steps is not symmetric in time."""
+        thermostatted.require_symmetric(scheme, "inner scheme")
+
     def splitting(self, scheme: Scheme) -> tuple[Scheme, int]:
         """Return the scheme of the proposal, and its number of steps."""
         return thermostatted.proposal(scheme, self.stepsPerProposal), self.stepsPerProposal
@@ -181,26 +178,3 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
         super(ExactRigidBodyLangevinIntegrator, self).__init__(
             stepSize, scheme, rotor, thermostat=thermostat, **options
         )
-        thermostatted.require_symmetric(None if self._fast is None else self._fast.scheme, "inner scheme")
-
-    @property
-    def forceEvaluationsPerStep(self) -> int:
-        """Number of force evaluations per proposal. A rejection, or a scheme that begins with a drift, needs one more.
-
-        The potential energy is computed together with the forces.
-        """
-        return self._thermostat.splitting(self._scheme)[0].forces
-
-    def tally(self) -> Tally:
-        """Return the numbers of accepted and of all proposals since the start or the last `resetTally`."""
-        return Tally(*(int(variables.get(self, name)) for name in (variables.ACCEPTED, variables.PROPOSED)))
-
-    def acceptanceRate(self) -> float:
-        """Return the fraction of accepted proposals, which is nan before the first proposal."""
-        accepted, proposed = self.tally()
-        return accepted / proposed if proposed else math.nan
-
-    def resetTally(self) -> None:
-        """Reset the counts of `tally` to zero."""
-        for name in (variables.ACCEPTED, variables.PROPOSED):
-            variables.put(self, name, 0.0)

@@ -29,7 +29,7 @@ from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.support.descriptions import mismatch
 from openmm_exactrb.support.types import Array
 from openmm_exactrb.thermostat import Exchange, Thermostat
-from openmm_exactrb.thermostats.face import HeatedIntegrator, Options
+from openmm_exactrb.thermostats.face import Options, ThermostattedIntegrator
 
 _RATE = unit.picosecond**-1
 # Number of different durations of a heat exchange for which factors are cached.
@@ -175,7 +175,7 @@ def _fading(friction: float | Array, width: Array) -> _Fading:
     return fading
 
 
-class ExactRigidBodyLangevinIntegrator(HeatedIntegrator):
+class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
     """Rigid-body Langevin dynamics: a splitting with an exact Ornstein-Uhlenbeck flow.
 
     Friction and noise act on linear momenta and on angular momenta in the principal axes of each body. Linear molecules
@@ -249,7 +249,7 @@ class ExactRigidBodyLangevinIntegrator(HeatedIntegrator):
 
     def setFriction(self, coeff: float | unit.Quantity) -> None:
         """Set the friction of translation (and of rotation, unless set separately), in 1/ps if it has no unit."""
-        self._change(friction=coeff)
+        self.changeThermostat(friction=coeff)
 
     def getRotationalFriction(self) -> unit.Quantity:
         """Return the friction of rotation."""
@@ -257,7 +257,7 @@ class ExactRigidBodyLangevinIntegrator(HeatedIntegrator):
 
     def setRotationalFriction(self, coeff: float | unit.Quantity | None) -> None:
         """Set the friction of rotation, in 1/ps if it has no unit; None means the friction of translation."""
-        self._change(rotationalFriction=coeff)
+        self.changeThermostat(rotationalFriction=coeff)
 
     def getFlexibleFriction(self) -> unit.Quantity:
         """Return the translational friction of molecules of more than one body."""
@@ -265,7 +265,7 @@ class ExactRigidBodyLangevinIntegrator(HeatedIntegrator):
 
     def setFlexibleFriction(self, coeff: float | unit.Quantity | None) -> None:
         """Set the friction of molecules of more than one body, in 1/ps if it has no unit; None restores the default."""
-        self._change(flexibleFriction=coeff)
+        self.changeThermostat(flexibleFriction=coeff)
 
     def _arguments(self) -> dict[str, Any]:
         arguments = super()._arguments()

@@ -18,7 +18,6 @@ from typing import ClassVar, Unpack
 import numpy as np
 from openmm import unit
 
-from openmm_exactrb.context import variables
 from openmm_exactrb.environment import Environment
 from openmm_exactrb.errors import IntegrationError
 from openmm_exactrb.mechanics.rng import Instant
@@ -243,21 +242,3 @@ class ExactRigidBodyNoseHooverIntegrator(ThermostattedIntegrator):
     ) -> None:
         thermostat = NoseHooverChain(temperature, collisionFrequency, chainLength, numMTS, numYoshidaSuzuki, together)
         super().__init__(stepSize, scheme, rotor, thermostat=thermostat, **options)
-
-    def getCollisionFrequency(self) -> unit.Quantity:
-        """Return the collision frequency of the chain."""
-        return self._thermostat.collisionFrequency * _RATE
-
-    def setCollisionFrequency(self, frequency: float | unit.Quantity) -> None:
-        """Set the collision frequency of the chain, in 1/ps if it has no unit."""
-        self._change(collisionFrequency=frequency)
-
-    def conservedEnergy(self) -> unit.Quantity:
-        """Return the total energy at the last heat exchange plus the energy of the chains.
-
-        This energy is conserved to the same accuracy as the total energy of the scheme without a thermostat. A
-        barostat, a ``CMMotionRemover``, and setting positions or velocities change this energy.
-        """
-        freedoms = self.degreesOfFreedom()
-        values = {name: variables.get(self, name) for name in self._thermostat.own_numbers}
-        return self._energyAtExchange() + self._thermostat.energy(values, freedoms) * unit.kilojoule_per_mole

@@ -24,7 +24,7 @@ from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.support.checks import positive, switch
 from openmm_exactrb.support.types import Array
 from openmm_exactrb.thermostat import Exchange, Factors, Thermostat
-from openmm_exactrb.thermostats.face import HeatedIntegrator, Options
+from openmm_exactrb.thermostats.face import Options, ThermostattedIntegrator
 
 _BACKWARD = "stepSize must be positive with a thermostat"
 
@@ -142,7 +142,7 @@ def scaled(x: Array, factor: float) -> Array:
     return x if factor == 1.0 else add(x, (factor - 1.0) * x[0])
 
 
-class ExactRigidBodyRescalingIntegrator(HeatedIntegrator):
+class ExactRigidBodyRescalingIntegrator(ThermostattedIntegrator):
     """Rigid-body dynamics at constant temperature with little disturbance: stochastic velocity rescaling.
 
     At every step, all momenta are multiplied by one number, or by two with ``together=False``, such that kinetic
@@ -177,11 +177,3 @@ class ExactRigidBodyRescalingIntegrator(HeatedIntegrator):
     ) -> None:
         thermostat = StochasticRescaling(temperature, relaxationTime, together)
         super().__init__(stepSize, scheme, rotor, thermostat=thermostat, **options)
-
-    def getRelaxationTime(self) -> unit.Quantity:
-        """Return the relaxation time of the kinetic energy."""
-        return self._thermostat.relaxationTime * unit.picosecond
-
-    def setRelaxationTime(self, time: float | unit.Quantity) -> None:
-        """Set the relaxation time of the kinetic energy, in ps if it has no unit."""
-        self._change(relaxationTime=time)

@@ -11,13 +11,6 @@ from starts import simulation_of
 H, T = 0.002, 300.0
 
 
-def compound():
-    integrator = openmm.CompoundIntegrator()
-    integrator.addIntegrator(openmm.VerletIntegrator(H))
-    integrator.addIntegrator(openmm.LangevinMiddleIntegrator(T, 1.0, H))
-    return integrator
-
-
 def own_program():
     integrator = openmm.CustomIntegrator(H)
     integrator.addGlobalVariable("work", 0.0)
@@ -35,7 +28,6 @@ THEIRS = {
     "VariableVerlet": lambda: openmm.VariableVerletIntegrator(1e-4),
     "NoseHoover": lambda: openmm.NoseHooverIntegrator(T, 1.0, H),
     "MTS": lambda: openmm.MTSIntegrator(H, [(0, 2)]),
-    "Compound": compound,
     "Custom": own_program,
 }
 OURS = {

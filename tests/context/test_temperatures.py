@@ -195,15 +195,3 @@ def test_the_context_and_the_integrator_draw_the_same():
         drawn.append(simulation.context.getState(velocities=True).getVelocities(asNumpy=True)._value)
     np.testing.assert_array_equal(*drawn)
     assert drawn[0].any()
-
-
-def test_integrators_of_openmm_draw_as_they_did():
-    drawn = []
-    for draw in (openmm.Context.setVelocitiesToTemperature, openmm.Context.setVelocitiesToTemperature.__wrapped__):
-        system, places, _, _ = gas(["water", "ion"])
-        context = openmm.Context(system, openmm.VerletIntegrator(0.002), REFERENCE)
-        context.setPositions(places)
-        draw(context, BATH, 5)
-        drawn.append(context.getState(velocities=True).getVelocities(asNumpy=True)._value)
-    np.testing.assert_array_equal(*drawn)
-    assert drawn[0].any()

@@ -23,7 +23,7 @@ def test_any_scheme_continues_from_the_checkpoint_of_any_other(before, after):
 
 def test_each_format_has_a_mark_of_its_own():
     formats = [(), ("a",), ("b",), ("a", "b"), ("b", "a"), ("ab",)]
-    for mark, least in ((variables.written, 1.0), (variables.by_library, 3.0), (variables.device, 5.0)):
+    for mark, least in ((variables.written, 1.0), (variables.by_library, 3.0), (variables.native, 5.0)):
         found = [mark(own) for own in formats]
         assert found[0] == least
         assert len(set(found)) == len(formats)

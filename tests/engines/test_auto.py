@@ -103,7 +103,7 @@ def test_auto_takes_the_kernels(row, platform):
     before = positions_of(context)
     integrator.step(2)
     assert integrator.getEngine() == "native"
-    assert integrator.engineNote() == NOTE.format(platform)
+    assert integrator.engineNote().startswith(NOTE.format(platform) + "; a step is ")
     moved = np.linalg.norm(positions_of(context) - before, axis=1)
     assert np.median(moved) > 1e-5
     assert moved.max() < 0.2
@@ -116,5 +116,6 @@ def test_the_script_of_the_readme_prints_why_the_kernels_take_the_steps(tmp_path
     with contextlib.redirect_stdout(io.StringIO()) as out:
         for piece, _ in pieces(ROOT / "README.md"):
             exec(piece, names)
-    assert out.getvalue() == NOTE.format("CPU") + "\n"
+    step = "a step is 8 fs with 4 force evaluations, one every 2 fs"
+    assert out.getvalue() == f"{NOTE.format('CPU')}; {step}\n"
     assert names["integrator"].getEngine() == "native"

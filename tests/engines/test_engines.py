@@ -65,7 +65,7 @@ def test_an_engine_that_is_registered_makes_the_steps_that_are_asked_of_it(own, 
         context = context_of(integrator := make(*arguments, engine=engine))
         states.append(stepped(context))
         assert integrator.getEngine() == engine
-        assert integrator.engineNote() == f'engine="{engine}" was asked for'
+        assert integrator.engineNote().startswith(f'engine="{engine}" was asked for; ')
     assert "settings" in own
     for one, other in zip(*states, strict=True):
         np.testing.assert_array_equal(one, other)
@@ -77,7 +77,7 @@ def test_auto_takes_the_first_that_serves_and_pays(own):
         integrator = rb.ExactRigidBodyIntegrator(h, scheme)
         context = context_of(integrator)
         assert integrator.getEngine() == name
-        assert (integrator.engineNote() == "its steps are short") == (name == "own")
+        assert integrator.engineNote().startswith("its steps are short; ") == (name == "own")
         stepped(context, 1)
 
 
@@ -128,7 +128,7 @@ def test_a_run_from_a_checkpoint_keeps_the_engine_whose_mark_it_has(own, monkeyp
 
 
 def test_no_file_outside_of_the_engines_imports_one():
-    inside = re.compile(r"places|^ *(?:from|import) openmm_exactrb\.engines\.(?:host|native)", re.M)
+    inside = re.compile(r"^ *(?:from|import) openmm_exactrb\.engines\.(?:host|native)", re.M)
     for file in PACKAGE.rglob("*.py"):
         name = file.relative_to(PACKAGE).as_posix()
         if not name.startswith("engines/"):

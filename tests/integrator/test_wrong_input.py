@@ -54,7 +54,7 @@ def test_a_step_that_is_refused_changes_nothing():
     with pytest.raises(ValueError, match="must be at least 0"):
         integrator.setStepSize(-0.001)
     assert integrator.getStepSize()._value == 0.002
-    assert "0.002" in repr(integrator)
+    assert "2 fs" in repr(integrator)
     assert copy.copy(integrator).getStepSize()._value == 0.002
 
 
@@ -155,12 +155,6 @@ def test_the_seed_of_momenta_is_whole(seed):
 def test_steps_without_a_context_are_refused():
     with pytest.raises(ValueError, match="no Context yet"):
         rb.ExactRigidBodyIntegrator(0.01).step(1)
-
-
-def test_a_context_of_another_integrator_is_refused():
-    simulation = simulation_of(2)
-    with pytest.raises(ValueError, match="another integrator"):
-        rb.ExactRigidBodyIntegrator(0.01).bind(simulation.context)
 
 
 def test_a_system_without_anything_to_move_is_refused():

@@ -238,7 +238,8 @@ def test_an_engine_is_one_record(monkeypatch):
     integrator = typed("An engine")["integrator"]
     _context = moving(integrator)
     integrator.step(1)
-    assert (integrator.getEngine(), integrator.engineNote()) == ("small", "the system is small")
+    assert integrator.getEngine() == "small"
+    assert integrator.engineNote().startswith("the system is small; ")
     large = rb.ExactRigidBodyIntegrator(0.002, "S2_2", engine="small")
     _, system, x = rb.rigid_water(40)
     context = context_of(system, large, x)

@@ -51,7 +51,9 @@ def simulation_of(topology, system, positions, integrator=None, minimise=10, pla
     integrator = rb.ExactRigidBodyIntegrator(2 * FEMTOSECONDS, "SRKN4_6b") if integrator is None else integrator
     simulation = starts.simulation_of(topology, system, integrator, positions, platform=platform)
     if minimise:
-        simulation.minimizeEnergy(maxIterations=minimise)
+        ours = isinstance(integrator, rb.ExactRigidBodyIntegrator)
+        minimiser = integrator if ours and integrator.getNamedBodies() else simulation
+        minimiser.minimizeEnergy(maxIterations=minimise)
     simulation.context.setVelocitiesToTemperature(300, 1)
     return simulation
 

@@ -40,11 +40,6 @@ def test_the_arguments_of_a_thermostat_are_distinguished(arguments):
     )
 
 
-def test_bind_takes_a_context():
-    simulation = water(minimise=0)
-    one_sentence("takes a Context such as simulation.context", lambda: simulation.integrator.bind(simulation))
-
-
 def test_reinitialize_that_forgets_positions_says_so():
     simulation = water(minimise=0)
     quietly(simulation.step, 1)

@@ -9,7 +9,6 @@ import pytest
 from boxes import (
     DATA,
     FEMTOSECONDS,
-    REFERENCE,
     coordinates,
     energy,
     misfit,
@@ -230,16 +229,6 @@ def test_flexible_molecules_beside_rigid_ones_run():
     assert len(simulation.integrator.bodyState()[0]) == topology.getNumResidues() - 5 + 15
     verlet = simulation_of(topology, system, coordinates(simulation), openmm.VerletIntegrator(0.2 * FEMTOSECONDS))
     assert swing(simulation) < 0.1 * swing(verlet)
-
-
-def test_the_natural_order_is_bind_and_then_positions():
-    topology, positions = solvent()
-    integrator = rb.ExactRigidBodyIntegrator(2 * FEMTOSECONDS, "SRKN4_6b")
-    context = openmm.Context(water_system(topology), integrator, REFERENCE)
-    integrator.bind(context)
-    context.setPositions(positions)
-    quietly(integrator.step, 1)
-    assert context.getStepCount() == 1
 
 
 def test_a_box_that_changes_between_steps_is_taken_up():

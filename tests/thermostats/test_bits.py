@@ -37,7 +37,7 @@ CHAINS = {
 }
 ALL = MAKERS | CHAINS
 #: What a run has besides positions and velocities.
-OWN = {"hybrid": "tally", "rescaling": "heat"} | dict.fromkeys(CHAINS, "conservedEnergy")
+OWN = {"hybrid": "tally", "rescaling": "heat"} | dict.fromkeys(CHAINS, "effectiveEnergy")
 
 
 @pytest.fixture(params=MAKERS)

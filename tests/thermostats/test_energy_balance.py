@@ -30,7 +30,7 @@ def nose_hoover(h, frequency=2.0, **options):
 
 
 def balance(integrator):
-    energy = integrator.conservedEnergy if hasattr(integrator, "conservedEnergy") else integrator.effectiveEnergy
+    energy = integrator.effectiveEnergy
     return energy()._value
 
 

@@ -5,7 +5,8 @@ import math
 import numpy as np
 
 import openmm_exactrb as rb
-from openmm_exactrb.thermostats.hybrid import Tally, accepts
+from openmm_exactrb.context.bath_access import Tally
+from openmm_exactrb.thermostats.hybrid import accepts
 from thermostatted import droplet_of
 
 

@@ -11,9 +11,9 @@ from thermostatted import droplet_of, load, saved, snapshot
 def test_chains_outlive_a_reinitialisation():
     run = droplet_of(nose_hoover())
     run.integrator.step(6)
-    before = run.integrator.conservedEnergy()._value
+    before = run.integrator.effectiveEnergy()._value
     run.context.reinitialize(preserveState=True)
-    assert run.integrator.conservedEnergy()._value == pytest.approx(before, rel=1e-12)
+    assert run.integrator.effectiveEnergy()._value == pytest.approx(before, rel=1e-12)
 
 
 def test_a_step_that_fails_leaves_the_chains_of_the_step_before():
@@ -86,7 +86,7 @@ def test_numbers_of_another_integrator_are_noticed_where_positions_are_the_same(
         setter(getattr(other.context.getState(positions=True, velocities=True), f"get{name}")(asNumpy=True))
     run.integrator.temperatures()
     run.context.loadCheckpoint(other.context.createCheckpoint())
-    for use in (run.integrator.conservedEnergy, lambda: run.integrator.setVelocitiesToTemperature(30.0)):
+    for use in (run.integrator.effectiveEnergy, lambda: run.integrator.setVelocitiesToTemperature(30.0)):
         with pytest.raises(ValueError, match="is from another kind of integrator"):
             use()
 

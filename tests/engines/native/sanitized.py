@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import openmm
 from openmm import app
-from test_clusters import GRAPHS
-from test_clusters import system_of as clusters
-from test_flexible_molecules import tether
+from test_native_clusters import GRAPHS
+from test_native_clusters import system_of as clusters
+from test_native_molecules import tether
 from zoo import every_kind, water
 
 import openmm_exactrb as rb

@@ -3,8 +3,8 @@
 // through the virtual functions of ComputeContext, and looks up a few non-virtual functions in the platform's library.
 //
 // Without a program, the integrator is a CustomIntegrator, and it keeps the global variables when it has a program.
-// Python starts the steps of a program after checking that the arrays agree with the Context (library.py). The lines of
-// a program are described in program.py.
+// Python starts the steps of a program after checking that the arrays agree with the Context (library.py). If C++ calls
+// `step`, the integrator calls Python. The lines of a program are described in program.py.
 #include "machine.h"
 #include "openmm/Context.h"
 #include "openmm/CustomIntegrator.h"
@@ -12,6 +12,8 @@
 #include "openmm/System.h"
 #include "openmm/serialization/SerializationNode.h"
 #include "openmm/serialization/SerializationProxy.h"
+#include <atomic>
+#include <csignal>
 #include <cstring>
 #include <sstream>
 
@@ -30,6 +32,31 @@ struct Scalar {
 };
 
 const int Loads = 8;
+const string Prefix = "exactrb_";  // of the names of all variables
+
+// Functions of Python, which return 0, or another number after a call of pi_fail. `number` identifies an integrator.
+struct Hooks {
+    int (*bound)(void* integrator, long long number) = NULL;  // a Context is being created
+    int (*step)(long long number, int steps) = NULL;
+    int (*asked)(long long number) = NULL;  // the tolerance of constraints is needed, as at the start of a minimisation
+} hooks;
+std::atomic<long long> created(0);
+thread_local string lastError;
+thread_local bool interrupted = false;  // whether a signal has interrupted Python in its main thread
+
+// Call Python, and throw the error that the call ends with. After an interruption, the signal is repeated, so that Python
+// raises KeyboardInterrupt as soon as it runs again.
+template <class Call> void callPython(Call call) {
+    interrupted = false;
+    if (call() == 0)
+        return;
+    if (!interrupted)
+        throw OpenMMException(lastError);
+    std::raise(SIGINT);
+}
+
+// The integrator that the next integrator read from XML by this thread is, so that SWIG creates an object for it.
+thread_local Integrator* handed = NULL;
 
 struct Operation {
     enum Kind { Run, Forces, Sites, Reorder, Clock, Step, Add, Copy } kind;
@@ -39,7 +66,13 @@ struct Operation {
 
 class ProgramIntegrator : public CustomIntegrator, private Reordered {
 public:
-    explicit ProgramIntegrator(double stepSize) : CustomIntegrator(stepSize) {
+    explicit ProgramIntegrator(double stepSize) : CustomIntegrator(stepSize), number(++created) {
+    }
+    const long long number;  // unlike its address, no other integrator has it later
+    double getConstraintTolerance() const override {
+        if (hasSettings() && context != NULL && hooks.asked != NULL)
+            callPython([&]() { return hooks.asked(number); });
+        return CustomIntegrator::getConstraintTolerance();
     }
     void setProgram(const string& text);
     void step(int steps) override;
@@ -60,6 +93,12 @@ public:
     // External changes to the Context since these bits were cleared: 1 for positions, 2 for velocities, 4 for forces with
     // changed parameters, and 8 for a loaded checkpoint or State.
     int changes = 7;
+    // Another part of a CompoundIntegrator moves particles without notice, but counts steps.
+    void noticeSteps() {
+        if (machine && lastStep >= 0 && machine->stepCount() != lastStep)
+            changes |= 3, forcesStale = placesStale = true;
+        lastStep = machine ? machine->stepCount() : -1;
+    }
     long long launches = 0, forceCalls = 0;
 
 protected:
@@ -92,12 +131,17 @@ private:
     bool hasProgram() const {
         return machine && !program.empty();
     }
+    // Whether Python stored the settings of an integrator, and performs its steps.
+    bool hasSettings() const {
+        return getKineticEnergyExpression().find(Prefix + "settings") != string::npos;
+    }
     void show(int index);
     vector<char> present(int index) const;
-    void save(std::ostream& stream, bool all) const;
+    void save(std::ostream& stream) const;
     void load(std::istream& stream);
-    string savedText(bool all) const;
+    string savedText() const;
     void loadText(const string& text);
+    void takeNumbers(const SerializationNode& node);
     Operation operation(const string& word, std::istringstream& words) const;
     void takeLoaded();
     void requireMachine() const {
@@ -129,6 +173,7 @@ private:
     bool forcesStale = true, placesStale = true, updating = false, loading = false;
     int forceGroups = 0;
     double stepBegan = 0;  // in ps
+    long long lastStep = -1;  // the step count after the last steps of this integrator, or -1 if it is unknown
     long long updates = 0;  // since the barostat's last move; like the barostat's own counter, not saved
 
     struct Kept {  // the state saved by `keep`
@@ -269,8 +314,11 @@ void ProgramIntegrator::initialize(ContextImpl& impl) {
     if (!machine)
         machine = processorOf(impl);
     changes = 7;
+    lastStep = -1;
     forcesStale = placesStale = true;
     build();
+    if (hasSettings() && hooks.bound != NULL)
+        callPython([&]() { return hooks.bound(static_cast<Integrator*>(this), number); });
 }
 
 void ProgramIntegrator::cleanup() {
@@ -367,11 +415,16 @@ void ProgramIntegrator::carryOut(const vector<Operation>& operations) {
     }
 }
 
+// Let Python perform steps that C++ starts, such as those of a part of a CompoundIntegrator.
 void ProgramIntegrator::step(int steps) {
-    if (program.empty() && getNumComputations() > 0)
+    if (!hasSettings() && program.empty())
         CustomIntegrator::step(steps);
+    else if (context == NULL)
+        throw OpenMMException("This Integrator is not bound to a context!");
+    else if (hooks.step == NULL)
+        throw error("Python performs the steps of this integrator of openmm_exactrb: import openmm_exactrb first");
     else
-        throw error("OpenMM alone cannot perform the steps of this integrator of openmm_exactrb: import openmm_exactrb before reading the integrator from XML, and do not add the integrator to a CompoundIntegrator");
+        callPython([&]() { return hooks.step(number, steps); });
 }
 
 // Perform steps with these sequences of the program. "forces" evaluates the forces that "open" needs, unless they are
@@ -420,6 +473,7 @@ void ProgramIntegrator::makeSteps(int steps) {
             calls = 0;
         }
     }
+    lastStep = machine->stepCount();
 }
 
 // Perform OpenMM's own part of steps (barostats, thermostats, CMMotionRemover), and advance the time.
@@ -431,6 +485,7 @@ void ProgramIntegrator::makeOwnPart(int steps) {
         context->setTime(context->getTime() + getStepSize());
         context->setStepCount(context->getStepCount() + 1);
     }
+    lastStep = context->getStepCount();
 }
 
 // Execute a sequence outside of a step, or the sequence with "_held" added to its name after a call that ended with "hold".
@@ -544,7 +599,7 @@ void ProgramIntegrator::restore(int slot) {
     if (!kept.any)
         throw error("nothing was kept");
     Current current(*machine);
-    machine->setTime(kept.time), machine->setStepCount(kept.steps);
+    machine->setTime(kept.time), machine->setStepCount(lastStep = kept.steps);
     updating = true;
     context->setPeriodicBoxVectors(kept.box[0], kept.box[1], kept.box[2]);
     machine->restore(slot);
@@ -609,13 +664,13 @@ template <class Bytes> Bytes getBytes(std::istream& stream) {
 }
 const int Mark = 0x45584152;
 
-// Write all scalars, and the arrays that are marked as saved or, if `all`, all arrays.
-void ProgramIntegrator::save(std::ostream& stream, bool all) const {
+// Write all scalars, and the arrays that are marked as saved.
+void ProgramIntegrator::save(std::ostream& stream) const {
     for (const Scalar& s : scalars)
         putBytes(stream, s.name), put(stream, s.value);
     putBytes(stream, string());
     for (size_t i = 0; i < arrays.size(); i++)
-        if (arrays[i].saved || all)
+        if (arrays[i].saved)
             putBytes(stream, arrays[i].name), putBytes(stream, present((int) i));
     putBytes(stream, string());
 }
@@ -633,13 +688,13 @@ void ProgramIntegrator::createCheckpoint(std::ostream& stream) const {
     CustomIntegrator::createCheckpoint(stream);
     put(stream, Mark);
     put(stream, changes);
-    save(stream, false);
+    save(stream);
 }
 
 void ProgramIntegrator::loadCheckpoint(std::istream& stream) {
     CustomIntegrator::loadCheckpoint(stream);
     forcesStale = placesStale = loading = true;
-    changes = 7;
+    changes = 7, lastStep = -1;
     if (get<int>(stream) != Mark)  // another kind of integrator wrote the stream
         return;
     changes = get<int>(stream) | Loads;
@@ -671,9 +726,9 @@ string unhex(const string& text) {
     return data;
 }
 
-string ProgramIntegrator::savedText(bool all) const {
+string ProgramIntegrator::savedText() const {
     std::ostringstream stream;
-    save(stream, all);
+    save(stream);
     return hex(stream.str());
 }
 
@@ -682,19 +737,42 @@ void ProgramIntegrator::loadText(const string& text) {
     load(stream);
 }
 
+// The numbers are not among the variables of a CustomIntegrator, which other integrators could not read.
 void ProgramIntegrator::serializeParameters(SerializationNode& node) const {
-    CustomIntegrator::serializeParameters(node);
-    node.createChildNode("Program").setIntProperty("changes", changes).setStringProperty("data", savedText(false));
+    node.setIntProperty("version", 1);
+    node.createChildNode("GlobalVariables"), node.createChildNode("PerDofVariables");
+    SerializationNode& numbers = node.createChildNode("Numbers");
+    for (int i = 0; i < getNumGlobalVariables(); i++)
+        numbers.setDoubleProperty(getGlobalVariableName(i), getGlobalVariable(i));
+    node.createChildNode("Program").setIntProperty("changes", changes).setStringProperty("data", savedText());
 }
 
+// Read the data that an integrator of this library has saved. Those of other integrators are ignored.
 void ProgramIntegrator::deserializeParameters(const SerializationNode& node) {
-    CustomIntegrator::deserializeParameters(node);
     forcesStale = true;
-    for (const SerializationNode& own : node.getChildren())
+    lastStep = -1;
+    for (const SerializationNode& own : node.getChildren()) {
         if (own.getName() == "Program") {
             changes = own.getIntProperty("changes") | Loads;
             loadText(own.getStringProperty("data"));
         }
+        else if (own.getName() == "Numbers" || own.getName() == "GlobalVariables")  // the latter in earlier versions
+            takeNumbers(own);
+    }
+}
+
+void ProgramIntegrator::takeNumbers(const SerializationNode& node) {
+    for (auto& property : node.getProperties()) {
+        const string& name = property.first;
+        if (name.compare(0, Prefix.size(), Prefix) != 0)
+            continue;
+        int index = 0;
+        while (index < getNumGlobalVariables() && getGlobalVariableName(index) != name)
+            index++;
+        if (index == getNumGlobalVariables())
+            throw error("the State was saved with another scheme, thermostat or engine of openmm_exactrb, and this integrator cannot read its data: load the other data of the State with openmm_exactrb.loadState, or create the integrator with the settings of the run that saved the State");
+        setGlobalVariable(index, node.getDoubleProperty(name));
+    }
 }
 
 class Proxy : public SerializationProxy {
@@ -710,26 +788,26 @@ public:
         node.setIntProperty("randomSeed", integrator.getRandomNumberSeed());
         node.setStringProperty("kineticEnergyExpression", integrator.getKineticEnergyExpression());
         for (int i = 0; i < integrator.getNumGlobalVariables(); i++)
-            node.createChildNode("Global").setStringProperty("name", integrator.getGlobalVariableName(i)).setDoubleProperty("value", integrator.getGlobalVariable(i));
-        node.setStringProperty("program", hex(integrator.program)).setStringProperty("data", integrator.savedText(true));
+            node.createChildNode("Global").setStringProperty("name", integrator.getGlobalVariableName(i));
     }
     void* deserialize(const SerializationNode& node) const override {
+        if (handed != NULL) {
+            Integrator* integrator = handed;
+            handed = NULL;
+            return integrator;
+        }
         std::unique_ptr<ProgramIntegrator> integrator(new ProgramIntegrator(node.getDoubleProperty("stepSize")));
         integrator->setConstraintTolerance(node.getDoubleProperty("constraintTolerance", 1e-5));
         integrator->setIntegrationForceGroups(node.getIntProperty("forceGroups", -1));
         integrator->setRandomNumberSeed(node.getIntProperty("randomSeed", 0));
         integrator->setKineticEnergyExpression(node.getStringProperty("kineticEnergyExpression", integrator->getKineticEnergyExpression()));
         for (const SerializationNode& child : node.getChildren())
-            integrator->addGlobalVariable(child.getStringProperty("name"), child.getDoubleProperty("value"));
-        integrator->setProgram(unhex(node.getStringProperty("program", "")));
-        integrator->loadText(node.getStringProperty("data", ""));
+            integrator->addGlobalVariable(child.getStringProperty("name"), 0.0);
         return integrator.release();
     }
 };
 
 // -- for ctypes -------------------------------------------------------------------------------------------------------
-
-thread_local string lastError;
 
 template <class Action> int guarded(void* pointer, Action action) {
     try {
@@ -785,6 +863,18 @@ EXPORTED const char* pi_error() {
 EXPORTED int pi_owns(void* integrator) {
     return guarded(integrator, [](ProgramIntegrator&) {}) == 0;
 }
+EXPORTED void pi_hooks(decltype(Hooks::bound) bound, decltype(Hooks::step) step, decltype(Hooks::asked) asked) {
+    hooks.bound = bound, hooks.step = step, hooks.asked = asked;
+}
+// State why a function of Python failed, and whether a signal has interrupted it.
+EXPORTED void pi_fail(const char* message, int interrupt) {
+    lastError = message, interrupted = interrupt != 0;
+}
+EXPORTED void pi_hand(void* integrator) {
+    handed = static_cast<Integrator*>(integrator);
+}
+EXPORT(notice, (void* integrator), it.noticeSteps())
+EXPORT(number, (void* integrator, long long* number), *number = it.number)
 EXPORT(program, (void* integrator, const char* text), it.setProgram(text))
 EXPORT(upload, (void* integrator, const char* name, const void* data, size_t bytes), it.upload(name, data, bytes))
 EXPORT(download, (void* integrator, const char* name, void* data, size_t bytes), it.download(name, data, bytes))

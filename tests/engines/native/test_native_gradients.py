@@ -3,7 +3,7 @@
 import numpy as np
 import openmm
 import pytest
-from test_flexible_molecules import nested, tether
+from test_native_molecules import nested, tether
 from zoo import apart, held, pair
 
 import openmm_exactrb as rb
