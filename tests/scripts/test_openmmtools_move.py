@@ -1,0 +1,120 @@
+"""`ExactRigidBodyMove` in openmmtools' samplers: time, copies, storage, resuming, barostats, Monte Carlo moves."""
+
+import copy
+import pickle
+
+import numpy as np
+import openmm
+import pytest
+from openmm import app, unit
+
+import openmm_exactrb as rb
+
+pytestmark = pytest.mark.filterwarnings("ignore")
+reason = "pip install 'openmm-exactrb[validation]'"
+cache = pytest.importorskip("openmmtools.cache", reason=reason)
+mcmc = pytest.importorskip("openmmtools.mcmc", reason=reason)
+multistate = pytest.importorskip("openmmtools.multistate", reason=reason)
+states = pytest.importorskip("openmmtools.states", reason=reason)
+from openmm_exactrb.openmmtools import ExactRigidBodyMove  # noqa: E402  # which needs openmmtools
+
+REFERENCE = openmm.Platform.getPlatform("Reference")
+SYSTEM, START = rb.rigid_water(8)[1:]
+KELVIN, PS, FS = unit.kelvin, unit.picosecond, unit.femtosecond
+
+
+def state_at(kelvin=300.0, system=SYSTEM, **more):
+    return states.ThermodynamicState(system, kelvin * KELVIN, **more)
+
+
+def same(move):
+    return move
+
+
+@pytest.mark.parametrize("copied", [same, copy.deepcopy, lambda move: pickle.loads(pickle.dumps(move))])
+@pytest.mark.parametrize("scheme", ["BAOA", "W2_3m"])
+def test_an_application_takes_the_number_of_steps_times_the_timestep(copied, scheme):
+    contexts = cache.ContextCache(platform=REFERENCE)
+    move = copied(ExactRigidBodyMove(3 * FS, 5 / PS, n_steps=7, scheme=scheme, engine="host"))
+    sampled = states.SamplerState(START)
+    for n in (1, 2):
+        move.apply(state_at(), sampled, context_cache=contexts)
+        context, integrator = contexts.get_context(state_at(), move._get_integrator(state_at()))  # noqa: SLF001
+        assert type(integrator) is rb.ExactRigidBodyLangevinIntegrator
+        assert (integrator.getEngine(), integrator.getScheme().name) == ("host", scheme)
+        assert context.getTime()._value == pytest.approx(n * 7 * 0.003, rel=1e-12)
+
+
+def test_contexts_are_shared_by_moves_of_equal_settings_alone():
+    contexts = cache.ContextCache(platform=REFERENCE)
+    for kelvin in (300.0, 320.0):
+        for scheme in ("BAOA", "W2_3m"):
+            for rate in (1.0, 5.0):
+                move = ExactRigidBodyMove(2 * FS, rate / PS, n_steps=1, scheme=scheme)
+                move.apply(state_at(kelvin), states.SamplerState(START), context_cache=contexts)
+                _, integrator = contexts.get_context(state_at(kelvin), move._get_integrator(state_at(kelvin)))  # noqa: SLF001
+                found = integrator.getScheme().name, integrator.getFriction()._value, integrator.getTemperature()._value
+                assert found == (scheme, rate, kelvin)
+    assert len(contexts) == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"scheme": "W2_1"}, "W2_1"),
+        ({"timestep": -1 * FS}, "time step"),
+        ({"timestep": 300 * KELVIN}, "step size"),
+        ({"collision_rate": -1 / PS}, "friction"),
+        ({"engine": "gpu"}, "engine"),
+    ],
+)
+def test_invalid_arguments_are_named_when_the_move_is_made(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        ExactRigidBodyMove(**arguments)
+
+
+def exchange(storage, sampler=None, move=None):
+    """Return a replica exchange of water at three temperatures, stored in a file."""
+    sampler = sampler or multistate.ReplicaExchangeSampler(
+        mcmc_moves=move or ExactRigidBodyMove(4 * FS, 5 / PS, n_steps=5, scheme="W2_3m"), number_of_iterations=4
+    )
+    reporter = multistate.MultiStateReporter(str(storage), checkpoint_interval=1)
+    sampler.create([state_at(T) for T in (300.0, 320.0, 345.0)], [states.SamplerState(START)] * 3, reporter)
+    return sampler
+
+
+def test_a_replica_exchange_is_stored_and_resumed(tmp_path):
+    cache.global_context_cache.platform = REFERENCE
+    sampler = exchange(tmp_path / "exchange.nc")
+    sampler.run(2)
+    before = [state.positions / unit.nanometer for state in sampler.sampler_states]
+    del sampler
+    reporter = multistate.MultiStateReporter(str(tmp_path / "exchange.nc"), open_mode="r+")
+    resumed = multistate.ReplicaExchangeSampler.from_storage(reporter)
+    for move in resumed.mcmc_moves:
+        assert type(move) is ExactRigidBodyMove
+        assert (move.timestep, move.collision_rate, move.scheme, move.n_steps) == (4 * FS, 5 / PS, "W2_3m", 5)
+    after = [state.positions / unit.nanometer for state in resumed.sampler_states]
+    np.testing.assert_allclose(after, before, rtol=0.0, atol=1e-6)
+    resumed.run(2)
+    assert resumed.iteration == 4
+    moved = [state.positions / unit.nanometer for state in resumed.sampler_states]
+    assert np.abs(np.array(moved) - after).max() > 1e-3
+
+
+def test_moves_in_a_sequence_with_monte_carlo_and_a_barostat():
+    _, system, positions = rb.rigid_water(64, nonbondedMethod=app.PME, nonbondedCutoff=0.5)
+    system.addForce(openmm.MonteCarloBarostat(1.0, 300.0, 2))
+    state = state_at(300.0, system, pressure=1.0 * unit.atmosphere)
+    rotation = mcmc.MCRotationMove(atom_subset=[0, 1, 2])
+    moves = mcmc.SequenceMove([ExactRigidBodyMove(2 * FS, 5 / PS, n_steps=6), rotation])
+    sampled = states.SamplerState(positions, box_vectors=system.getDefaultPeriodicBoxVectors())
+    volume, contexts = sampled.volume, cache.ContextCache(platform=REFERENCE)
+    for _ in range(3):
+        moves.apply(state, sampled, context_cache=contexts)
+    assert rotation.n_proposed == 3
+    assert sampled.volume != volume
+    x = sampled.positions / unit.nanometer
+    for k in range(system.getNumConstraints()):
+        i, j, length = system.getConstraintParameters(k)
+        assert np.linalg.norm(x[i] - x[j]) == pytest.approx(length._value, rel=1e-6)
