@@ -23,6 +23,7 @@ import openmm
 
 from openmm_exactrb.context import variables
 from openmm_exactrb.engines.catalogue import ENGINES
+from openmm_exactrb.engines.library import of_library
 from openmm_exactrb.openmm_access import settings_text
 from openmm_exactrb.openmm_access.handed_out import hand_out
 from openmm_exactrb.parts import know, known
@@ -125,7 +126,8 @@ def copied_by_openmm(kind: type[Any], agree: Callable[[Any], None]) -> Callable[
             integrator.this, face.this = face.this, integrator.this
             face.thisown = 1
             integrator.setRandomNumberSeed(integrator.getRandomNumberSeed())
-            know(integrator)
+            if of_library(integrator):
+                know(integrator)
         return integrator
 
     def prepare(xml: str) -> None:

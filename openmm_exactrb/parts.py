@@ -25,9 +25,8 @@ _MINIMISER = openmm.LocalEnergyMinimizer.minimize.__code__
 
 
 def know(integrator: Any) -> None:
-    """Register the Python object of an integrator, if this is one of the library."""
-    if of_library(integrator):
-        _known[library().number(integrator)] = integrator
+    """Register the Python object of an integrator of the library."""
+    _known[library().number(integrator)] = integrator
 
 
 def known(face: Any) -> Any | None:
@@ -70,8 +69,8 @@ def held_by_openmm(
 
 def _being_created() -> openmm.Context | None:
     """Return the Context whose constructor is running, or None."""
-    makers = (frame.f_locals.get("self") for frame in _frames() if frame.f_code.co_name == "__init__")
-    return next((maker for maker in makers if isinstance(maker, openmm.Context)), None)
+    objects = (frame.f_locals.get("self") for frame in _frames() if frame.f_code.co_name == "__init__")
+    return next((one for one in objects if isinstance(one, openmm.Context)), None)
 
 
 def _frames() -> Iterator[FrameType]:

@@ -43,7 +43,9 @@ def steps_for(time: float | unit.Quantity, h: float) -> int:
     duration = not_negative(time, unit.picosecond, "a time")
     if not h:
         raise ValueError("the step size is 0: set a positive one")
-    return math.ceil(duration / h * (1.0 - _ROUNDING))
+    if not math.isfinite(steps := duration / h * (1.0 - _ROUNDING)):
+        raise ValueError(f"a step of {femtoseconds(h)} is too short for {duration:g} ps: set a longer one")
+    return math.ceil(steps)
 
 
 def described(h: float, forces: int) -> str:

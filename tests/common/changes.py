@@ -210,7 +210,7 @@ def pull_of_data(state):
 
 
 def with_silent_forces(run):
-    """Add forces of which OpenMM does not report all changes, and make the Context anew."""
+    """Add forces of which OpenMM does not report all changes, and make the Context again."""
     PULL["strength"] = 0.0
     springs = openmm.CustomBondForce("k*r^2")
     springs.addPerBondParameter("k")

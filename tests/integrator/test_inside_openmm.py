@@ -15,6 +15,7 @@ import pytest
 
 import openmm_exactrb as rb
 from every_integrator import MOVING, made
+from lifetimes import assert_freed_without_the_garbage_collector
 from openmm_exactrb.engines.library import Machine, of_library
 from openmm_exactrb.openmm_access.handed_out import FUNCTIONS
 from places import platform_for
@@ -306,12 +307,7 @@ def test_nothing_is_left_of_a_compound():
         assert compound.getIntegrator(0) is part
         return [weakref.ref(one) for one in (context, compound, part)]
 
-    gc.collect()
-    gc.disable()
-    try:
-        assert not any(reference() for reference in dropped())
-    finally:
-        gc.enable()
+    assert_freed_without_the_garbage_collector(dropped)
 
 
 @pytest.mark.parametrize("order", ["context compound part", "part compound context", "compound part context"])

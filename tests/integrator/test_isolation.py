@@ -17,6 +17,7 @@ import openmm_exactrb as rb
 import starts
 import three_masses
 from benchmarks.paper import problems
+from lifetimes import assert_freed_without_the_garbage_collector
 from openmm_exactrb.mathematics import quaternions
 from openmm_exactrb.multiple_time_steps.inner_drift import ExcerptPositions
 from openmm_exactrb.openmm_access.find_context import find_context
@@ -180,12 +181,7 @@ def nested_and_dropped():
 
 @pytest.mark.parametrize("dropped", [lambda: make_and_drop(3), nested_and_dropped])
 def test_contexts_are_freed_without_the_garbage_collector(dropped):
-    gc.collect()
-    gc.disable()
-    try:
-        assert not any(reference() for reference in dropped())
-    finally:
-        gc.enable()
+    assert_freed_without_the_garbage_collector(dropped)
 
 
 @pytest.mark.parametrize(

@@ -58,6 +58,8 @@ def test_other_values_are_no_times(time):
 def test_no_number_of_steps_of_size_zero_takes_a_time():
     with pytest.raises(ValueError, match="the step size is 0"):
         rb.ExactRigidBodyIntegrator(0.0).stepsFor(1.0)
+    with pytest.raises(ValueError, match="too short for 1e\\+09 ps"):
+        rb.ExactRigidBodyIntegrator(1e-300).stepsFor(1e9)
 
 
 @pytest.mark.parametrize(

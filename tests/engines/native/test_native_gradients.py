@@ -4,7 +4,7 @@ import numpy as np
 import openmm
 import pytest
 from test_native_molecules import nested, tether
-from zoo import apart, held, pair
+from zoo import apart, held, pair, twice_from
 
 import openmm_exactrb as rb
 from openmm_exactrb.engines.native.flexible import blocks
@@ -91,12 +91,7 @@ def test_a_processed_run_continues_to_the_bit(where):
     _, device = pair(system, x, nested("W4_4", 0.001, fast=None), platform=where[1])
     device.getIntegrator().step(4)
     checkpoint = device.createCheckpoint()
-    ends = []
-    for _ in range(2):
-        device.loadCheckpoint(checkpoint)
-        device.getIntegrator().step(1)
-        ends.append(held(device))
-    np.testing.assert_array_equal(*ends)
+    np.testing.assert_array_equal(*twice_from(checkpoint, device, 1))
 
 
 @pytest.mark.parametrize("constraints", ["HBonds", "AllBonds", "None"])

@@ -6,7 +6,7 @@ import numpy as np
 import openmm
 import pytest
 from openmm import app
-from zoo import apart, held, pair
+from zoo import apart, held, pair, twice_from
 
 import openmm_exactrb as rb
 from openmm_exactrb.engines.native.flexible import blocks
@@ -142,11 +142,7 @@ def test_a_checkpoint_continues_to_the_bit_whenever_it_is_loaded():
     checkpoint = device.createCheckpoint()
     device.getIntegrator().step(3)
     end = held(device)
-    again = []
-    for _ in range(2):
-        device.loadCheckpoint(checkpoint)
-        device.getIntegrator().step(3)
-        again.append(held(device))
+    again = twice_from(checkpoint, device, 3)
     np.testing.assert_array_equal(*again)
     np.testing.assert_allclose(again[0], end, rtol=0.0, atol=5e-12)
 

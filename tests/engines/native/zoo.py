@@ -105,3 +105,13 @@ def held(context):
 def apart(one, other):
     """Return how far positions (nm) of two Contexts are apart at most."""
     return np.abs(held(one)[0] - held(other)[0]).max()
+
+
+def twice_from(checkpoint, context, n):
+    """Return where n steps from a checkpoint end, twice."""
+    ends = []
+    for _ in range(2):
+        context.loadCheckpoint(checkpoint)
+        context.getIntegrator().step(n)
+        ends.append(held(context))
+    return ends
