@@ -216,8 +216,8 @@ def report(runs: list[Outcome], out: Path) -> None:
         f"\n{'scheme + rotor':<26}{'step':>9}{'forces':>8}{'max error':>11}{'at end':>11}   wall: forces, rotor, rest"
     )
     for run in runs:
-        rest = run.wall - run.forces - run.rotation
-        shares = "".join(f"{100 * part / run.wall:6.0f} %" for part in (run.forces, run.rotation, rest))
+        parts = run.forces, run.rotation, run.wall - run.forces - run.rotation
+        shares = "".join(f"{100 * part / run.wall:6.0f} %" for part in parts) if run.forces else "  shares not measured"
         print(
             f"{run.scheme + ' + ' + run.rotor:<26}{run.h:>9.4g}{run.evaluations:>8}{abs(run.errors).max():>11.1e}"
             f"{run.errors[-1]:>11.1e}{run.wall:7.1f} s:{shares}"

@@ -1,4 +1,4 @@
-"""The time of a whole step compared with that of its force evaluations alone, measured alternately within one run.
+"""The time of a whole step on the host compared with that of its force evaluations alone, measured alternately.
 
 The loop of force evaluations calls setPositions and getState(forces). Raw data are written to
 out/benchmarks/step_cost.csv.
@@ -34,7 +34,7 @@ def main():
 def measure(n, scheme, rotor):
     """Return seconds of a bare force evaluation, of a stage, and of its rotor: medians over alternating series."""
     topology, system, positions = rb.dipole_fluid(n, trap=0.5)
-    integrator = rb.ExactRigidBodyIntegrator(0.02, scheme=scheme, rotor=rotor)
+    integrator = rb.ExactRigidBodyIntegrator(0.02, scheme=scheme, rotor=rotor, engine="host")
     simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
     context = simulation.context
     context.setPositions(positions)

@@ -80,7 +80,7 @@ def scaling(quick):
         _, system, positions = rb.rigid_water(n)
         while system.getNumForces():
             system.removeForce(0)
-        integrator = rb.ExactRigidBodyIntegrator(0.004, scheme="S2_2")
+        integrator = rb.ExactRigidBodyIntegrator(0.004, scheme="S2_2", engine="host")
         _context = context_of(system, integrator, positions, "Reference")
         tracemalloc.start()
         integrator.setVelocitiesToTemperature(300.0, 1)
