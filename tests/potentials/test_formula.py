@@ -7,6 +7,8 @@ from openmm import app
 
 import openmm_exactrb as rb
 from force_laws import assert_lawful, evaluated, positions_of
+from openmm_exactrb.openmm_access.platforms import DEVICES
+from places import device_platform
 from soft_dipoles import FIELD, arrows, assert_same, fluid
 from starts import REFERENCE, context_of
 
@@ -129,7 +131,8 @@ def shaken(kernel, platform="Reference", properties=None, integrator=None, n=40)
     """Return the Context of a dilute fluid, its positions (n, 5, 3) and the edge of its box."""
     _, system, positions = rb.dipole_fluid(n, attraction=1.0, kernel=kernel, **SHORT)
     integrator = integrator or openmm.VerletIntegrator(0.001)
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform(platform), properties or {})
+    place = device_platform([platform]) if platform in DEVICES else openmm.Platform.getPlatform(platform)
+    context = openmm.Context(system, integrator, place, properties or {})
     return context, positions._value.reshape(n, -1, 3), (n / 0.4) ** (1.0 / 3.0)
 
 

@@ -150,7 +150,7 @@ def test_a_tuning_ends_within_its_budget(droplet):
 @pytest.mark.usefixtures("tuned")
 def test_what_the_survey_alone_says_is_called_so(droplet):
     one = {"schemes": "S2_2", "budget": 6.0, "report": None}  # which slow machines survey in half of the time
-    result = rb.tune(*droplet, target=5e-2, platform="Reference", horizon=2000.0, **one)
+    result = rb.tune(*droplet, target=5e-2, platform="Reference", horizon=5e4, **one)
     choice = result.best()
     assert not choice.confirmed
     assert "by the survey alone" in " ".join(str(result).split())
