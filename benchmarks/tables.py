@@ -261,9 +261,10 @@ def protein_energies() -> str:
     verlet = {row["method"]: float(row["std_2_ps_kJ_mol"]) for row in found}["Verlet"]
     for row in found:
         name = row["method"]
-        half, whole = row["std_half_ps_kJ_mol"], row["std_2_ps_kJ_mol"]
-        gain = "" if name == "Verlet" else f"{verlet / float(whole):.1f}"
-        body.append((labels.get(name, f"`{name}`"), half, whole, gain, row["bonded_per_force"]))
+        half, whole = (float(row[f"std_{window}_ps_kJ_mol"]) for window in ("half", "2"))
+        bonded = "" if name == "Verlet" else f"{float(row['bonded_per_force']):.2g}"
+        gain = "" if name == "Verlet" else f"{verlet / whole:.1f}"
+        body.append((labels.get(name, f"`{name}`"), f"{half:.1f}", f"{whole:.1f}", gain, bonded))
     head = (
         "std in 0.5 ps, kJ/mol",
         "in 2 ps",

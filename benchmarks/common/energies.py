@@ -9,7 +9,7 @@ import numpy as np
 import openmm
 
 import openmm_exactrb as rb
-from benchmarks.common.starts import context_of, put
+from benchmarks.common.starts import put
 
 #: In ps. Short ones show how far the energy swings, long ones its slow wandering too.
 WINDOWS = (0.5, 2.0, 10.0, 30.0)
@@ -58,11 +58,9 @@ def spread(runs: Iterable[Sequence[float]], duration: float) -> tuple[float, ...
     )
 
 
-def noise(
-    system: openmm.System, integrator: openmm.Integrator, starts: Iterable[Any], duration: float, platform: str
-) -> tuple[float, ...]:
-    """Return the `spread` of runs from several starts, sampled every 20 fs."""
-    context, runs = context_of(system, integrator, platform=platform), []
+def noise(context: openmm.Context, starts: Iterable[Any], duration: float) -> tuple[float, ...]:
+    """Return the `spread` of runs of a Context from several starts, sampled every 20 fs."""
+    runs = []
     for start in starts:
         put(context, start)
         runs.append(along(context, duration, 0.02)[0])

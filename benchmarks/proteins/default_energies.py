@@ -29,6 +29,7 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 from benchmarks.common.proteins import PEPTIDE, solvated, solvated_helix
+from benchmarks.common.provenance import OF_RUN, of_run
 from benchmarks.common.records import DOCS, Record
 from benchmarks.common.starts import simulation_of
 from benchmarks.cost.one_line import SMOOTH, TEMPERATURE, box, start_of, system_of
@@ -39,7 +40,6 @@ REPORTED = {"water": 100, "peptide": 10, "protein": 10}  # steps
 STARTS = {"equilibrated": False, "file": True}
 RUN = ("system", "atoms", "start", "seed", "fs", "picoseconds", "integrator")
 FOUND = ("evaluations_per_ps", "std_kJ_mol")
-TABLE = Record(DOCS / "default_energies.csv", RUN, FOUND, order=itemgetter(*RUN))
 
 
 @cache
@@ -63,8 +63,8 @@ def equilibrated(kind: str, source: str | int, seed: int) -> openmm.State:
 
 def energies_of(
     kind: str, source: str | int, method: str, step: float, seed: int, picoseconds: float, raw: bool
-) -> dict[str, float | list[float]]:
-    """Return the reported total energies in kJ/mol, and force evaluations per ps."""
+) -> dict[str, float | list[float] | dict[str, str]]:
+    """Return the reported total energies in kJ/mol, force evaluations per ps, and where they come from."""
     topology, system, positions = prepared(kind, source)
     integrator = MAKERS[method](step)
     run = simulation_of(topology, system, integrator, None if raw else equilibrated(kind, source, seed))
@@ -81,7 +81,8 @@ def energies_of(
     except (openmm.OpenMMException, rb.IntegrationError):
         text.write("nan\n")
     energies = [float(line) for line in text.getvalue().splitlines() if not line.startswith("#")]
-    return {"atoms": system.getNumParticles(), "energies": energies, "evaluations": evaluations}
+    found = {"atoms": system.getNumParticles(), "energies": energies, "evaluations": evaluations}
+    return found | {"origin": of_run(run.context)}
 
 
 def row_of(job: ensemble.Job, value: dict) -> dict:
@@ -93,7 +94,7 @@ def row_of(job: ensemble.Job, value: dict) -> dict:
     start = "file" if what["raw"] else "equilibrated"
     run = (1000.0 * what["step"], what["picoseconds"], what["method"])
     known = (name, value["atoms"], start, what["seed"], *run, f"{value['evaluations']:.1f}", f"{std:.4g}")
-    return dict(zip((*RUN, *FOUND), known, strict=True))
+    return dict(zip((*RUN, *FOUND), known, strict=True)) | value["origin"]
 
 
 def main() -> None:
@@ -109,7 +110,9 @@ def main() -> None:
     add("--first", type=int, default=101, help="seed of the first start (%(default)s)")
     add("--picoseconds", type=float, default=30.0, help="length of a run (%(default)s)")
     add("--out", type=Path, default=Path("out/default_energies"), metavar="FOLDER")
+    add("--record", type=Path, default=DOCS / "default_energies.csv", metavar="CSV", help="%(default)s")
     args = parser.parse_args()
+    record = Record(args.record, RUN, (*FOUND, *OF_RUN), order=itemgetter(*RUN))
     sources = {"water": args.molecules, "peptide": "", "protein": args.pdb}
     seeds = range(args.first, args.first + args.starts)
     jobs = []
@@ -123,7 +126,7 @@ def main() -> None:
     for result in ensemble.as_completed(jobs, args.out, workers=1):
         if result.error is not None:
             raise SystemExit(result.error)
-        TABLE.add(row_of(result.job, result.value))
+        record.add(row_of(result.job, result.value))
 
 
 if __name__ == "__main__":

@@ -32,6 +32,7 @@ from benchmarks.common import records
 from benchmarks.common.energies import noise
 from benchmarks.common.pictures import STYLES, plt
 from benchmarks.common.proteins import FORCE_FIELD, PEPTIDE
+from benchmarks.common.starts import context_of
 from benchmarks.water.droplet import equilibrated
 
 CONSTRAINTS = {"HBonds": app.HBonds, "AllBonds": app.AllBonds, "None": None}
@@ -127,7 +128,7 @@ def measured(bare, starts, duration, method, rate):
     """Return errors in kJ/mol of the whole droplet, evaluations of bonded forces per ps, and seconds per ps."""
     system, integrator = prepared(bare, method, rate)
     start = time.process_time()
-    spread = noise(system, integrator, starts, duration, "Reference")
+    spread = noise(context_of(system, integrator, platform="Reference"), starts, duration)
     seconds = (time.process_time() - start) / (duration * len(starts))
     bonded = rate
     if family(method) == "MTSIntegrator":

@@ -6,8 +6,8 @@ to OpenMM's VerletIntegrator with the same number of evaluations of the nonbonde
 protein is a helix of 35 alanines, built and solvated here. --pdb accepts any solvated PDB file with standard residues
 and water, such as the villin headpiece of OpenMM's Python examples (input.pdb).
 
-Starts and rows are written to out/benchmarks/protein_*. Existing rows are not measured again, so that the same command
-resumes an interrupted run. --quick runs a short version.
+Starts and rows are written to out/benchmarks/protein_*. Rows of the table, or of another one with --record, are not
+measured again, so that the same command resumes an interrupted run. --quick runs a short version.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from benchmarks.common import records, starts
 from benchmarks.common.clocks import in_turns
 from benchmarks.common.energies import noise
 from benchmarks.common.proteins import FORCE_FIELD, solvated, solvated_helix
+from benchmarks.common.provenance import OF_RUN, of_run
 
 #: Scheme and options: bonded forces and pairs three bonds apart are nested unless they say otherwise.
 METHODS = {
@@ -39,7 +40,6 @@ METHODS = {
 }
 #: Steps of MTSIntegrator's bonded forces, in ps.
 INNER = 0.001
-COLUMNS = ("method", "forces_a_ps", "energy_std_half_ps", "energy_std_run", "bonded_per_force")
 
 
 def context_of(system, integrator, start):
@@ -72,13 +72,19 @@ def prepared(bare, method, rate):
     return system, integrator
 
 
+def columns(duration):
+    """Return the columns of what is measured: standard deviations in windows of 0.5 ps and in whole runs, ..."""
+    return "std_half_ps_kJ_mol", f"std_{duration:g}_ps_kJ_mol", "bonded_per_force"
+
+
 def measured(bare, begins, duration, method, rate):
-    """Return a row: standard deviations in windows of 0.5 ps and in whole runs, and bonded evaluations per force."""
-    system, integrator = prepared(bare, method, rate)
-    spread = noise(system, integrator, begins, duration, "CPU")
+    """Return a row of the record."""
+    context = starts.context_of(*prepared(bare, method, rate))
+    spread, integrator = noise(context, begins, duration), context.getIntegrator()
     ours = isinstance(integrator, rb.ExactRigidBodyIntegrator) and integrator.timings
     bonded = ours.fast_evaluations / ours.evaluations if ours else np.nan
-    return method, rate, spread[0], spread[-1], bonded
+    values = (f"{value:.4g}" for value in (spread[0], spread[-1], bonded))
+    return {"method": method} | dict(zip(columns(duration), values, strict=True)) | of_run(context)
 
 
 def seconds_a_ps(bare, start, rate, names, rounds, forces):
@@ -94,7 +100,7 @@ def seconds_a_ps(bare, start, rate, names, rounds, forces):
     return {method: min(seconds) / made[method] * rate for method, seconds in in_turns(runs, rounds).items()}
 
 
-def run(name, protein, n_starts, duration, rate, names, rounds=(5, 12)):
+def run(name, protein, n_starts, duration, rate, names, rounds=(5, 12), file=None):
     """Measure methods that have no row yet, time all of them, and print them over Verlet."""
     bare = app.ForceField(*FORCE_FIELD).createSystem(
         protein[0],
@@ -107,21 +113,20 @@ def run(name, protein, n_starts, duration, rate, names, rounds=(5, 12)):
     bodies = f"{bare.getNumParticles()} atoms, {bare.getNumConstraints()} constraints"
     length = 2.0 if duration >= 1.0 else 0.2
     begins = equilibrated(bare, protein[1], length, n_starts, records.OUT / f"protein_{name}_starts.npy")
-    file = records.OUT / f"protein_{name}_{n_starts}x{duration:g}ps_{rate}.csv"
-    known = {row["method"]: row for row in records.read(file)}
+    file = file or records.OUT / f"protein_{name}_{n_starts}x{duration:g}ps_{rate}.csv"
+    record = records.Record(file, ("method",), (*columns(duration), *OF_RUN))
     for method in names:
-        if method not in known:
-            row = map(str, measured(bare, begins, duration, method, rate))
-            known[method] = dict(zip(COLUMNS, row, strict=True))
-            records.write(file, COLUMNS, known.values())
-    stable = [method for method in known if np.isfinite(float(known[method]["energy_std_half_ps"]))]
+        if {"method": method} not in record:
+            record.add(measured(bare, begins, duration, method, rate))
+    known = {row["method"]: row for row in record.rows().values() if row["method"] in names}
+    stable = [method for method in known if np.isfinite(float(known[method]["std_half_ps_kJ_mol"]))]
     seconds = seconds_a_ps(bare, begins[0], rate, stable, *rounds)
     print(f"{name}: {bodies}, {rate} evaluations per ps, {n_starts} starts of {duration:g} ps\n")
     print("| method | std, kJ/mol | Verlet's over it | bonded evaluations per force | time over Verlet's |")
     print("|" + 5 * " --- |")
-    base = float(known["Verlet"]["energy_std_half_ps"])
+    base = float(known["Verlet"]["std_half_ps_kJ_mol"])
     for method, row in known.items():
-        error, bonded = float(row["energy_std_half_ps"]), float(row["bonded_per_force"])
+        error, bonded = float(row["std_half_ps_kJ_mol"]), float(row["bonded_per_force"])
         took = f"{seconds[method] / seconds['Verlet']:.2f}" if method in stable else ""
         print(f"| {method} | {error:.3g} | {base / error:.2g} | {bonded:.2g} | {took} |")
 
@@ -133,6 +138,7 @@ def main():
     parser.add_argument("--duration", type=float, default=1.0, metavar="PS", help="ps from each start (%(default)s)")
     parser.add_argument("--rate", type=int, default=250, metavar="N", help="evaluations per ps (%(default)s)")
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS), metavar="NAME")
+    parser.add_argument("--record", type=Path, metavar="CSV", help="the table (in out/benchmarks)")
     parser.add_argument("--quick", action="store_true", help="short runs of a short helix")
     args = parser.parse_args()
     records.OUT.mkdir(parents=True, exist_ok=True)
@@ -140,7 +146,7 @@ def main():
         run("short", solvated_helix(4), 1, 0.5, 250, ["Verlet", "S2_3"], (2, 6))
         return
     name, protein = ("helix", solvated_helix(35)) if args.pdb is None else (args.pdb.stem, solvated(args.pdb))
-    run(name, protein, args.starts, args.duration, args.rate, args.methods)
+    run(name, protein, args.starts, args.duration, args.rate, args.methods, file=args.record)
 
 
 if __name__ == "__main__":

@@ -28,13 +28,14 @@ from openmm import app
 
 import openmm_exactrb as rb
 from benchmarks.common import droplets
-from benchmarks.common.records import DOCS, write
+from benchmarks.common.provenance import OF_RUN, of_run
+from benchmarks.common.records import DOCS, Record
 from openmm_exactrb import ensemble
 
-TABLE = DOCS / "outputs.csv"
 MOLECULES, MODEL = 64, "tip3p"
 RUNS = (("W2_1", 250), ("W2_1", 500), ("W2_1", 1000), ("W4_4", 500), ("W4_4", 1000))
-COLUMNS = ("scheme", "forces per ps", "seed", "asked per step", "Verlet", "inverse", "output", "shift tr", "shift rot")
+RUN = ("scheme", "forces per ps", "seed")
+FOUND = ("asked per step", "Verlet", "inverse", "output", "shift tr", "shift rot")
 
 
 def simulation(scheme: str | rb.schemes.Scheme, h: float, seed: int) -> app.Simulation:
@@ -71,9 +72,9 @@ def row(name: str, rate: int, seed: int, duration: float) -> dict[str, Any]:
     asked = run.integrator.timings.evaluations / (10 * calls)
     deviation = {key: float(np.std(np.array(values)[:, 0])) for key, values in found.items()}
     shifts = (np.mean(np.array(found["output"]) - found["inverse"], axis=0) / deviation["inverse"])[1:]
-    return dict(
-        zip(COLUMNS, (name, rate, seed, asked, *map(deviation.get, COLUMNS[4:7]), *map(float, shifts)), strict=True)
-    )
+    values = asked, *map(deviation.get, FOUND[1:4]), *map(float, shifts)
+    numbers = (f"{value:.5g}" for value in values)
+    return dict(zip((*RUN, *FOUND), (name, rate, seed, *numbers), strict=True)) | of_run(run.context)
 
 
 def main() -> None:
@@ -83,7 +84,9 @@ def main() -> None:
     parser.add_argument("--picoseconds", type=float, default=30.0)
     parser.add_argument("--rates", type=int, nargs="+", default=[250, 500, 1000], help="forces per ps")
     parser.add_argument("--out", type=Path, default=Path("out/outputs"), metavar="FOLDER")
+    parser.add_argument("--record", type=Path, default=DOCS / "outputs.csv", metavar="CSV", help="%(default)s")
     options = parser.parse_args()
+    record = Record(options.record, RUN, (*FOUND, *OF_RUN))
     seeds = range(options.first, options.first + options.starts)
     jobs = [
         ensemble.Job(row, name=name, rate=rate, seed=seed, duration=options.picoseconds)
@@ -91,16 +94,10 @@ def main() -> None:
         if rate in options.rates
         for seed in seeds
     ]
-    rows = []
     for result in ensemble.as_completed(jobs, options.out, workers=1):
         if result.error is not None:
             raise SystemExit(result.error)
-        rows.append(result.value)
-        print(
-            ", ".join(f"{name} {value:.4g}" if name != "scheme" else value for name, value in rows[-1].items()),
-            flush=True,
-        )
-        write(TABLE, COLUMNS, ([*row[:3], *(f"{x:.5g}" for x in row[3:])] for row in map(list, map(dict.values, rows))))
+        record.add(result.value)
 
 
 if __name__ == "__main__":

@@ -101,7 +101,7 @@ def measure(args):
             name: rb.ExactRigidBodyIntegrator(rb.SCHEMES[name].forces / rate, scheme=name) for name in args.schemes
         }
         for method, integrator in integrators.items():
-            note(method, rate, energies.noise(system, integrator, starts, duration, "Reference"))
+            note(method, rate, energies.noise(context_of(system, integrator, platform="Reference"), starts, duration))
         if lammps_peer.INSTALLED:
             note(LAMMPS, rate, lammps_noise(starts, rate, duration))
     columns = "method", "force_evaluations_a_ps", *(f"energy_std_{window:g}_ps" for window in lengths)

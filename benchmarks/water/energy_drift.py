@@ -26,7 +26,7 @@ from openmm import app
 
 import openmm_exactrb as rb
 from benchmarks.common.energies import along, variance
-from benchmarks.common.provenance import commit
+from benchmarks.common.provenance import of_run
 from benchmarks.common.records import DOCS, Record
 from benchmarks.common.starts import canonical, context_of, put, thermostat
 
@@ -66,14 +66,14 @@ def integrator_of(method: str, fs: float) -> openmm.Integrator:
     return integrator
 
 
-def energies_of(point: dict) -> tuple[np.ndarray, float]:
-    """Return the total energies of a run in kJ/mol per molecule, and how many ps apart."""
+def energies_of(point: dict) -> tuple[np.ndarray, float, dict[str, str]]:
+    """Return the total energies of a run in kJ/mol per molecule, how many ps apart, and where they come from."""
     usual = point | {"direct": point["tolerance"], "platform": "CPU"}
     (start,) = canonical(water(thermostat(seed=point["start"]), usual), 2_500, seed=point["start"])
     context = water(integrator_of(point["method"], point["fs"]), point)
     put(context, start)
     energies, interval = along(context, point["picoseconds"], SAMPLED)
-    return energies / point["molecules"], interval
+    return energies / point["molecules"], interval, of_run(context)
 
 
 def measured(energies: np.ndarray, interval: float) -> dict[str, str]:
@@ -110,10 +110,9 @@ def main() -> None:
         point = fixed | {"method": method, "fs": fs, "start": start}
         if point in record:
             continue
-        energies, interval = energies_of(point)
+        energies, interval, origin = energies_of(point)
         np.save(OUT / ("_".join(record.key_of(point)) + ".npy"), energies)
-        origin = {"engine": "" if method == VERLET else "host", "openmm": openmm.__version__}
-        record.add(point | measured(energies, interval) | origin | {"commit": commit()})
+        record.add(origin | point | measured(energies, interval))
 
 
 if __name__ == "__main__":

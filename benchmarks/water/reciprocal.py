@@ -79,7 +79,7 @@ def main():
     print("|" + 5 * " --- |")
     for name, outer, reciprocal, inner, direct in METHODS:
         integrator = integrator_of(outer, reciprocal, inner, direct)
-        spread = noise(system, integrator, starts, args.duration, "Reference")[-1] / args.molecules
+        spread = noise(context_of(system, integrator, platform="Reference"), starts, args.duration)[-1] / args.molecules
         timings = integrator.timings
         made = reciprocal * timings.fast_evaluations / timings.evaluations if inner else direct
         cost = made * direct_cost + reciprocal * reciprocal_cost

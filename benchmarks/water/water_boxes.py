@@ -4,8 +4,8 @@
 a tight Ewald tolerance make the errors of the forces small compared with those of the integrator; --loose uses the
 defaults of createSystem instead. Each seed has a separate start, which all methods share, drawn from the canonical
 distribution with LangevinMiddleIntegrator. A run is a job of an ensemble, so that an interrupted command can be
-resumed. Results are written to out/water_boxes: a table (CSV) and `energy.png`, the energy of the first model over
-time.
+resumed. Results are written to out/water_boxes: a table (CSV), to which --record gives another file whose other rows
+stay, and `energy.png`, the energy of the first model over time.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ import openmm_exactrb as rb
 from benchmarks.common import records
 from benchmarks.common.energies import along, variance
 from benchmarks.common.pictures import plt
+from benchmarks.common.provenance import OF_RUN, of_run, of_runs
 from benchmarks.common.starts import canonical, context_of, put, thermostat
 from openmm_exactrb import ensemble
 
@@ -30,6 +31,8 @@ MODELS = ("tip3p", "spce", "tip4pew", "tip5p")
 VERLET = "Verlet"
 WINDOWS = (2.0, 10.0, 30.0)  # ps
 SAMPLED = 0.1  # ps
+POINT = ("model", "forces_per_ps", "method", "starts")
+STDS = tuple(f"{what}_{window:g}_ps" for window in WINDOWS for what in ("std", "error"))
 
 
 def water(n: int, model: str, integrator: openmm.Integrator, loose: bool = False) -> openmm.Context:
@@ -40,7 +43,7 @@ def water(n: int, model: str, integrator: openmm.Integrator, loose: bool = False
 
 
 def energies_of(model: str, method: str, rate: float, duration: float, seed: int, n: int, loose: bool = False) -> dict:
-    """Run water and return its total energy in kJ/mol per molecule, every 0.1 ps."""
+    """Run water and return its total energy in kJ/mol per molecule, every 0.1 ps, and where it comes from."""
     if method == VERLET:
         integrator = openmm.VerletIntegrator(1.0 / rate)
         integrator.setConstraintTolerance(1e-8)
@@ -52,7 +55,7 @@ def energies_of(model: str, method: str, rate: float, duration: float, seed: int
     energies, interval = along(context, duration, SAMPLED)
     if not np.isfinite(energies).all():
         raise rb.NonFiniteError(f"{method} diverged")
-    return {"interval": interval, "energies": (energies / n).tolist()}
+    return {"interval": interval, "energies": (energies / n).tolist(), "origin": of_run(context)}
 
 
 def spread(runs: list[dict], window: float) -> tuple[float, float]:
@@ -76,6 +79,7 @@ def main() -> None:
     }
     results = ensemble.run([r for some in jobs.values() for r in some], args.out / "runs", workers=args.workers)
     by_key = {result.job.key: result for result in results}
+    record = records.Record(args.record or args.out / "table.csv", POINT, ("failed", *STDS, *OF_RUN))
     rows, found = [], {}
     for point, some in jobs.items():
         runs = [by_key[job.key] for job in some]
@@ -85,16 +89,16 @@ def main() -> None:
         for window in WINDOWS:
             row += spread(found[point], window) if found[point] and window <= args.picoseconds else (np.nan, np.nan)
         rows.append(row)
-    write(rows, args.out / "table.csv")
+        named = dict(zip((*POINT, "failed"), row[:5], strict=True))
+        stds = {name: f"{number:.4g}" for name, number in zip(STDS, row[5:], strict=True)}
+        record.add(named | stds | of_runs(run["origin"] for run in found[point]))
+    show(rows)
     first = (args.models[0], args.rates[0])
     draw({method: found[*first, method][0] for method in (VERLET, args.schemes[0])}, *first, args.out / "energy.png")
 
 
-def write(rows: list[list], file: Path) -> None:
-    """Write the table, and print it with how many times each lies below Verlet's."""
-    names = [f"{what}_{window:g}_ps" for window in WINDOWS for what in ("std", "error")]
-    columns = ["model", "forces_per_ps", "method", "starts", "failed", *names]
-    records.write(file, columns, ([*row[:5], *(f"{number:.4g}" for number in row[5:])] for row in rows))
+def show(rows: list[list]) -> None:
+    """Print the table with how many times each lies below Verlet's."""
     verlet = {tuple(row[:2]): row[5::2] for row in rows if row[2] == VERLET}
     for model, rate, method, n_starts, failed, *numbers in rows:
         measured = [(std, theirs, w) for std, theirs, w in zip(numbers[::2], verlet[model, rate], WINDOWS, strict=True)]
@@ -137,6 +141,7 @@ def parse() -> argparse.Namespace:
     add("--loose", action="store_true", help="OpenMM's defaults: no switch, an ewaldErrorTolerance of 5e-4")
     add("--workers", type=int, default=None, help="processes; one for each core unless given")
     add("--out", type=Path, default=OUT, metavar="FOLDER", help="%(default)s")
+    add("--record", type=Path, metavar="CSV", help="a table that gains these rows (table.csv in the folder)")
     return parser.parse_args()
 
 
