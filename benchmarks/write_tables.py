@@ -14,7 +14,7 @@ from pathlib import Path
 
 from benchmarks import tables
 from benchmarks.common.markdown import rows, table
-from benchmarks.common.provenance import PROVENANCE
+from benchmarks.common.provenance import OF_RUN, PROVENANCE
 from benchmarks.common.records import DOCS
 from benchmarks.constraints.small_molecules import small_molecules
 from benchmarks.cost import tables as of_cost
@@ -80,7 +80,8 @@ def all_tables() -> dict[str, str]:
 
 def _as_it_is(name: str) -> str:
     found = rows(name)
-    columns = [column for column in found[0] if column not in PROVENANCE]
+    hidden = OF_RUN if set(OF_RUN) <= found[0].keys() else PROVENANCE
+    columns = [column for column in found[0] if column not in hidden]
     return table([name.replace("_", " ") for name in columns], [[row[name] for name in columns] for row in found])
 
 

@@ -35,7 +35,7 @@ import openmm_exactrb as rb
 from benchmarks.common.clocks import QUARTILES, in_turns, on_one_core, quartiles
 from benchmarks.common.energies import along, root_mean_square
 from benchmarks.common.proteins import FORCE_FIELD, solvated, solvated_helix
-from benchmarks.common.provenance import PROVENANCE, provenance
+from benchmarks.common.provenance import OF_RUN, of_run, provenance
 from benchmarks.common.records import DOCS, Record
 from benchmarks.common.starts import canonical, simulation_of, thermostat
 
@@ -44,7 +44,7 @@ EQUILIBRATION = 500  # steps before times are measured
 RECORD = Record(
     DOCS / "one_line.csv",
     ("system", "threads", "run", "relative_to"),
-    (*QUARTILES, "engine", "platform", *PROVENANCE),
+    (*QUARTILES, *OF_RUN, "load"),
 )
 #: Of OpenMM and of this package.
 PAIRS: dict[str, tuple[Callable[[], openmm.Integrator], Callable[[], openmm.Integrator]]] = {
@@ -94,10 +94,7 @@ def start_of(topology, system, positions, seed: int, steps: int = 2_500) -> open
 
 def recorded(simulation: app.Simulation, ratios, **names) -> None:
     """Add a row about a Simulation to the record."""
-    ours = isinstance(simulation.integrator, rb.ExactRigidBodyIntegrator)
-    engine = simulation.integrator.getEngine() if ours else "openmm"
-    platform = simulation.context.getPlatform().getName()
-    RECORD.add({**names, **quartiles(ratios), "engine": engine, "platform": platform, **provenance()})
+    RECORD.add({**names, **quartiles(ratios), **provenance(), **of_run(simulation.context)})
 
 
 def costs(name: str, topology, positions, rounds: int, steps: int) -> None:

@@ -20,6 +20,7 @@ from openmm import app
 
 from benchmarks.common.energies import along
 from benchmarks.common.group_temperatures import Groups
+from benchmarks.common.provenance import OF_RUN, of_run
 from benchmarks.common.records import DOCS, Record
 from benchmarks.common.starts import simulation_of
 from benchmarks.proteins import protein_steps
@@ -43,11 +44,13 @@ def starts(topology: app.Topology, system: openmm.System, begin: openmm.State, n
     return found
 
 
-def power(topology: app.Topology, system: openmm.System, start: openmm.State, name: str, fs: float) -> float:
-    """Return the slope of the total energy in kJ/mol/ps."""
+def power(topology: app.Topology, system: openmm.System, start: openmm.State, name: str, fs: float) -> dict[str, str]:
+    """Return the slope of the total energy in kJ/mol/ps, and where it comes from."""
     integrator = protein_steps.integrator_of(name, 0.001 * fs, "0.0")
-    energies, interval = along(simulation_of(topology, system, integrator, start).context, PICOSECONDS, LOOKED)
-    return float(np.polyfit(interval * np.arange(len(energies)), energies, 1)[0])
+    context = simulation_of(topology, system, integrator, start).context
+    energies, interval = along(context, PICOSECONDS, LOOKED)
+    slope = np.polyfit(interval * np.arange(len(energies)), energies, 1)[0]
+    return {"kJ/mol/ps": f"{slope:.4g}"} | of_run(context)
 
 
 def main() -> None:
@@ -58,7 +61,7 @@ def main() -> None:
     parser.add_argument("--starts", type=int, default=6)
     parser.add_argument("--record", type=Path, default=TABLE, metavar="CSV", help="%(default)s")
     args = parser.parse_args()
-    record = Record(args.record, RUN, ("kJ/mol/ps",))
+    record = Record(args.record, RUN, ("kJ/mol/ps", *OF_RUN))
     topology, system, _ = protein_steps.molecules(args.pdb, "all", "HBonds")
     solute = "peptide" if args.pdb is None else args.pdb.stem
     freedom = f"{Groups(topology, system).freedom}"
@@ -66,8 +69,7 @@ def main() -> None:
     for scheme, fs, number in itertools.product(args.schemes, args.fs, range(args.starts)):
         point = dict(zip(RUN, (solute, freedom, scheme, f"{fs:g}", number + 1), strict=True))
         if point not in record:
-            slope = power(topology, system, begins[number], scheme, fs)
-            record.add(point | {"kJ/mol/ps": f"{slope:.4g}"})
+            record.add(point | power(topology, system, begins[number], scheme, fs))
 
 
 if __name__ == "__main__":

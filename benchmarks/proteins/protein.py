@@ -55,6 +55,11 @@ def equilibrated(system, positions, picoseconds, n_starts, file):
     return list(map(tuple, np.load(file)))
 
 
+def substeps(rate):
+    """Return the bonded evaluations of MTSIntegrator per nonbonded one."""
+    return max(2, round(1.0 / rate / INNER))
+
+
 def prepared(bare, method, rate):
     """Return System and integrator of a method with `rate` evaluations of the nonbonded forces per ps."""
     system = openmm.XmlSerializer.clone(bare)
@@ -62,8 +67,7 @@ def prepared(bare, method, rate):
     if method == "Verlet":
         integrator = openmm.VerletIntegrator(1.0 / rate)
     elif method == "MTSIntegrator":
-        substeps = max(2, round(1.0 / rate / INNER))
-        integrator = openmm.MTSIntegrator(1.0 / rate * unit.picosecond, [(0, 1), (bonded, substeps)])
+        integrator = openmm.MTSIntegrator(1.0 / rate * unit.picosecond, [(0, 1), (bonded, substeps(rate))])
     else:
         scheme, options = METHODS[method]
         integrator = rb.ExactRigidBodyIntegrator(rb.SCHEMES[scheme].forces / rate, scheme=scheme, **options)
@@ -73,7 +77,7 @@ def prepared(bare, method, rate):
 
 
 def columns(duration):
-    """Return the columns of what is measured: standard deviations in windows of 0.5 ps and in whole runs, ..."""
+    """Return the columns of what is measured: standard deviations in windows and whole runs, and bonded evaluations."""
     return "std_half_ps_kJ_mol", f"std_{duration:g}_ps_kJ_mol", "bonded_per_force"
 
 
@@ -81,8 +85,9 @@ def measured(bare, begins, duration, method, rate):
     """Return a row of the record."""
     context = starts.context_of(*prepared(bare, method, rate))
     spread, integrator = noise(context, begins, duration), context.getIntegrator()
-    ours = isinstance(integrator, rb.ExactRigidBodyIntegrator) and integrator.timings
-    bonded = ours.fast_evaluations / ours.evaluations if ours else np.nan
+    bonded = {"MTSIntegrator": substeps(rate)}.get(method, np.nan)
+    if isinstance(integrator, rb.ExactRigidBodyIntegrator):
+        bonded = integrator.timings.fast_evaluations / integrator.timings.evaluations
     values = (f"{value:.4g}" for value in (spread[0], spread[-1], bonded))
     return {"method": method} | dict(zip(columns(duration), values, strict=True)) | of_run(context)
 

@@ -1,7 +1,7 @@
 """A protein in water at long steps: temperatures of groups, energies by type, density and torsions.
 
 The system is alanine dipeptide (amber14) in 212 TIP3P molecules, or a solvated PDB file with --pdb, with PME and a
-switch and constrained bonds to hydrogen. Runs use the CPU platform with one thread, or the native engine. Masses are
+switch and constrained bonds to hydrogen. Runs use the CPU platform with one thread, or a device. Masses are
 unchanged, or hydrogens of the solute, or all hydrogens, have 3 amu. The same temperature estimator is used for all
 integrators, and is computed from velocities projected onto the constraints. It gives separate temperatures for the
 linear and angular momenta of water molecules, for the solute as a whole, and for the centres and the internal rotation
@@ -30,6 +30,7 @@ from collections.abc import Iterator, Sequence
 from functools import cache
 from operator import itemgetter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import openmm
@@ -39,6 +40,7 @@ import openmm_exactrb as rb
 from benchmarks.common.group_temperatures import Groups
 from benchmarks.common.pictures import plt
 from benchmarks.common.proteins import FORCE_FIELD, PEPTIDE
+from benchmarks.common.provenance import OF_RUN, of_run
 from benchmarks.common.records import DOCS, Record, Row
 from benchmarks.common.starts import canonical, masses_of, positions_and_velocities, simulation_of, thermostat
 from benchmarks.common.structure import (
@@ -164,17 +166,14 @@ def frictions(text: str) -> str:
 
 def integrator_of(name: str, interval: float, friction: str, temperature: float = TEMPERATURE) -> openmm.Integrator:
     """Return what evaluates the nonbonded forces every `interval` ps, with the frictions that a record has."""
-    scheme, _, device = name.partition(" ")
+    scheme = name.partition(" ")[0]
     of_all, *of_solute = map(float, friction.split(":"))
     if scheme in OPENMM:
         if of_solute:
             raise SystemExit(f"{scheme} has one friction for all molecules, not {friction}")
         return OPENMM[scheme](temperature, of_all, interval)
-    step, engine = splitting(scheme).forces * interval, "native" if device else "host"
-    own = of_solute[0] if of_solute else None
-    return rb.ExactRigidBodyLangevinIntegrator(
-        temperature, of_all, step, scheme=scheme, engine=engine, flexibleFriction=own
-    )
+    step, own = splitting(scheme).forces * interval, of_solute[0] if of_solute else None
+    return rb.ExactRigidBodyLangevinIntegrator(temperature, of_all, step, scheme=scheme, flexibleFriction=own)
 
 
 def means_of(
@@ -187,8 +186,8 @@ def means_of(
     ensemble: str,
     picoseconds: float,
     seed: int,
-) -> dict[str, float]:
-    """Return the means over a run.
+) -> dict[str, Any]:
+    """Return the means over a run, and where they come from.
 
     Temperatures are in K, U in kJ/mol per molecule of water, energies by kind in kJ/mol, densities in kg/m³, and ms of
     processor time are those of a nonbonded force.
@@ -204,9 +203,10 @@ def means_of(
     run.context.setVelocitiesToTemperature(TEMPERATURE, seed)
     try:
         run.step(max(1, round(BURN / step)))
-        return sampled(run, Groups(topology, system), backbone(topology), picoseconds, 0.001 * fs)
+        found = sampled(run, Groups(topology, system), backbone(topology), picoseconds, 0.001 * fs)
     except (openmm.OpenMMException, rb.IntegrationError, np.linalg.LinAlgError):
-        return dict.fromkeys(MEASURED, math.nan)
+        found = dict.fromkeys(MEASURED, math.nan)
+    return found | of_run(run.context)
 
 
 def bonded(system: openmm.System, kinds: Sequence[type[openmm.Force]]) -> openmm.System:
@@ -275,7 +275,7 @@ def sampled(
 
 
 def record_of(file: Path) -> Record:
-    return Record(file, RUN, MEASURED, order=itemgetter(*RUN))
+    return Record(file, RUN, (*MEASURED, *OF_RUN), order=itemgetter(*RUN))
 
 
 def summary(rows: dict[tuple[str, ...], Row]) -> Iterator[str]:
@@ -363,7 +363,7 @@ def main() -> None:
     for result in ensemble.as_completed(new, OUT, workers=args.workers):
         if result.error is not None:
             raise SystemExit(result.error)
-        record.add(jobs[result.job] | {name: f"{result.value[name]:.7g}" for name in MEASURED})
+        record.add(jobs[result.job] | result.value | {name: f"{result.value[name]:.7g}" for name in MEASURED})
     wanted = {record.key_of(row)[:-1] for row in jobs.values()}
     print("\n".join(summary({key: row for key, row in record.rows().items() if key[:-1] in wanted})))
 

@@ -26,7 +26,7 @@ import openmm
 
 import openmm_exactrb as rb
 from benchmarks.common.clocks import in_turns
-from benchmarks.common.provenance import PROVENANCE, provenance
+from benchmarks.common.provenance import OF_RUN, PROVENANCE, of_run, provenance
 from benchmarks.common.records import DOCS, ROOT, read, write
 from benchmarks.common.starts import R
 
@@ -169,9 +169,9 @@ def energies() -> None:
                 numbers = [f"{number:.3f}" for number in conserved(context, integrator, ours)]
             except (rb.IntegrationError, openmm.OpenMMException):
                 numbers = ["diverges", ""]
-            rows.append([interval, name, scheme, *numbers])
+            rows.append([interval, name, scheme, *numbers, *of_run(context).values()])
             print(*rows[-1], flush=True)
-    write(ENERGIES, ("interval_fs", "bodies", "scheme", "rms_kJ_per_mol", "drift_kJ_per_mol_ps"), rows)
+    write(ENERGIES, ("interval_fs", "bodies", "scheme", "rms_kJ_per_mol", "drift_kJ_per_mol_ps", *OF_RUN), rows)
 
 
 def conserved(context, integrator, ours):

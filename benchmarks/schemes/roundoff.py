@@ -5,8 +5,9 @@
    OpenMM's VerletIntegrator with SETTLE from the same starts, with as many force evaluations per unit of time.
 
 The results of each start are stored in out/benchmarks/roundoff/, from which an interrupted run continues. Root mean
-squares over the starts are written to docs/roundoff.csv and docs/roundoff.png. --quick runs a hundredth of the steps
-and uses a separate folder.
+squares over the starts are written to docs/roundoff.csv, in which rows of variants without results stay, and to
+docs/roundoff.png. Rounded states, and tops, are not those of an engine but of the loop in Python, "host". --quick runs
+a hundredth of the steps and uses a separate folder.
 """
 
 from __future__ import annotations
@@ -15,12 +16,14 @@ import argparse
 import itertools
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from pathlib import Path
 
 import numpy as np
 import openmm
 
 import openmm_exactrb as rb
 from benchmarks.common.pictures import plt
+from benchmarks.common.provenance import OF_RUN, commit, of_run, of_runs
 from benchmarks.common.records import DOCS, OUT, read, write
 from benchmarks.common.starts import R, context_of, masses_of, positions_and_velocities
 from benchmarks.paper import problems
@@ -101,7 +104,8 @@ def tops(start, variant, last, h=TOP_STEP):
         now = observe(state)
         records["energy"].append(now[0] / energy - 1.0)
         records["direction"].append((now[1] - along) / size)
-    return {name: np.array(rows, dtype=np.float64).T for name, rows in records.items()}
+    found = {name: np.array(rows, dtype=np.float64).T for name, rows in records.items()}
+    return found | {"origin": np.array(["host", "", openmm.__version__, commit()])}
 
 
 # -- dipoles --------------------------------------------------------------------------------------------------------
@@ -232,7 +236,8 @@ def dipoles(start, variant, last, h=DIPOLE_STEP):
         records["energy"].append(now[0] / energy - 1.0)
         records["momentum"].append(norm((now[1] - momentum).sum(axis=0)) / norm(momentum).sum())
         records["direction"].append(norm(np.cross(now[2], spin)) / (norm(now[2]) * norm(spin)))
-    return {name: np.array(rows, dtype=np.float64)[None] for name, rows in records.items()}
+    found = {name: np.array(rows, dtype=np.float64)[None] for name, rows in records.items()}
+    return found | {"origin": np.array([*of_run(context).values()])}
 
 
 # -- all of it ------------------------------------------------------------------------------------------------------
@@ -252,13 +257,15 @@ def compute(folder, chosen, variants, starts, fraction):
 
 
 def curves(folder):
-    """Yield system, variant, quantity, number of starts, and root mean squares over them."""
+    """Yield system, variant, quantity, number of starts, root mean squares over them, and where they come from."""
     for name, (_, known, _) in SYSTEMS.items():
         for variant in known:
             files = [np.load(file) for file in sorted(folder.glob(f"{name}_{variant}_*.npz"))]
-            for quantity in files[0].files if files else ():
-                rows = np.concatenate([file[quantity] for file in files])
-                yield name, variant, quantity, len(rows), np.sqrt((rows**2).mean(axis=0))
+            origin = of_runs(dict(zip(OF_RUN, map(str, file["origin"]), strict=True)) for file in files)
+            for quantity in QUANTITIES:
+                if files and quantity in files[0].files:
+                    rows = np.concatenate([file[quantity] for file in files])
+                    yield name, variant, quantity, len(rows), np.sqrt((rows**2).mean(axis=0)), origin
 
 
 def exponent(steps, errors, first):
@@ -287,14 +294,19 @@ STYLES = {
 
 def record(folder, fraction, table):
     """Write the root mean squares, and print where they end and how they grow."""
-    rows = []
-    for name, variant, quantity, starts, errors in curves(folder):
+    known = {(row["system"], row["variant"], row["quantity"]): [] for row in read(table)}
+    for row in read(table):
+        known[row["system"], row["variant"], row["quantity"]].append(row)
+    for name, variant, quantity, starts, errors, origin in curves(folder):
         last = SYSTEMS[name][2] // fraction
         steps = recorded_steps(last)
-        rows += [(name, variant, quantity, starts, n, f"{e:.4e}") for n, e in zip(steps, errors, strict=True)]
+        of_curve = {"system": name, "variant": variant, "quantity": quantity, "starts": starts} | origin
+        known[name, variant, quantity] = [
+            of_curve | {"step": n, "rms": f"{e:.4e}"} for n, e in zip(steps, errors, strict=True)
+        ]
         slope = exponent(steps, np.maximum(errors, 1e-20), last / 1000)
         print(f"{name:8} {variant:8} {quantity:10} {starts:4} starts  end {errors[-1]:.1e}  exponent {slope:.2f}")
-    write(table, ("system", "variant", "quantity", "starts", "step", "rms"), rows)
+    write(table, ("system", "variant", "quantity", "starts", "step", "rms", *OF_RUN), itertools.chain(*known.values()))
 
 
 def draw(table, picture):
@@ -322,6 +334,7 @@ def main():
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--draw", action="store_true", help="only draw the table that is there")
     parser.add_argument("--truncation", action="store_true", help="only measure the error of the scheme")
+    parser.add_argument("--record", type=Path, default=DOCS / "roundoff.csv", metavar="CSV", help="%(default)s")
     options = parser.parse_args()
     fraction = 100 if options.quick else 1
     folder = OUT / ("roundoff_quick" if options.quick else "roundoff")
@@ -330,11 +343,10 @@ def main():
         return
     if not options.draw:
         compute(folder, options.systems, options.variants, options.starts, fraction)
-    target = folder if options.quick else DOCS
-    table = target / "roundoff.csv"
+    table = folder / "roundoff.csv" if options.quick else options.record
     if not options.draw:
         record(folder, fraction, table)
-    draw(table, target / "roundoff.png")
+    draw(table, table.with_suffix(".png"))
 
 
 if __name__ == "__main__":

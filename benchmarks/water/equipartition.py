@@ -33,6 +33,7 @@ from openmm import app
 import openmm_exactrb as rb
 from benchmarks.common.group_temperatures import of_rigid
 from benchmarks.common.pictures import plt
+from benchmarks.common.provenance import of_run
 from benchmarks.common.starts import R, canonical, context_of, masses_of, positions_and_velocities, thermostat
 from benchmarks.water.equipartition_record import (
     FRICTION,
@@ -121,7 +122,10 @@ def run_of(
     friction: float,
     kelvin: float,
 ) -> dict:
-    """Run water and return samples by name: temperatures in K, energy in kJ/mol per molecule, density in kg/m³."""
+    """Run water and return samples by name, and where they come from.
+
+    Temperatures are in K, the energy in kJ/mol per molecule, and the density in kg/m³.
+    """
     integrator = integrator_of(method, interval, friction, kelvin)
     h = integrator.getStepSize()._value
     system, _ = system_of(model, n, kelvin, pressure, max(1, round(BAROSTAT / h)))
@@ -143,7 +147,8 @@ def run_of(
         means = {name: float(np.mean([values[name] for values in seen])) for name in seen[0]}
         samples.append(means | energy_and_density(context, n))
     result = {"interval": looks * every * h, "samples": {name: [s[name] for s in samples] for name in samples[0]}}
-    return result | ({"acceptance": integrator.acceptanceRate()} if method == EXACT else {})
+    result |= {"acceptance": integrator.acceptanceRate()} if method == EXACT else {}
+    return result | {"origin": of_run(context)}
 
 
 def of_openmm(context: openmm.Context, n: int):
@@ -229,7 +234,11 @@ def main() -> None:
     ]
     missing = {run: job_of(run) for run in wanted if run not in record}
     results = finished(list(missing.values()), args)
-    new = {run: gist(run.method, results[job.key]) for run, job in missing.items() if job.key in results}
+    new = {
+        run: gist(run.method, result) | result["origin"]
+        for run, job in missing.items()
+        if (result := results.get(job.key)) is not None
+    }
     record = merge(new, args.record)
     asked = {run._replace(seed=0) for run in wanted}
     found = points({run: means for run, means in record.items() if run._replace(seed=0) in asked})

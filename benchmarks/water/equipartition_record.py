@@ -7,13 +7,15 @@ generated from this record.
 from __future__ import annotations
 
 import math
+from operator import itemgetter
 from pathlib import Path
-from typing import NamedTuple, get_type_hints
+from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
 
 from benchmarks.common import records
 from benchmarks.common.markdown import markdown, with_error
+from benchmarks.common.provenance import OF_RUN
 
 RECORD = records.DOCS / "equipartition.csv"
 #: Later runs: in those of RECORD, W2_3m has positions at its next kick, now at the end of its step. A barostat acts at
@@ -73,7 +75,7 @@ class Run(NamedTuple):
 
 
 COLUMNS = {"fs per force" if name == "interval" else name: kind for name, kind in get_type_hints(Run).items()}
-Record = dict[Run, dict[str, float]]
+Record = dict[Run, dict[str, Any]]  # numbers of MEASURED, and texts of OF_RUN
 Mean = tuple[float, float]  # and its error
 Means = dict[str, Mean]
 
@@ -92,9 +94,10 @@ class Point(NamedTuple):
 
 
 def read(file: Path) -> Record:
-    """Return what runs gave, by what they were."""
+    """Return what runs gave and where they come from, by what they were."""
     return {
         Run(*(kind(row[name]) for name, kind in COLUMNS.items())): {name: float(row[name]) for name in MEASURED}
+        | {name: row[name] for name in OF_RUN}
         for row in records.read(file)
     }
 
@@ -102,8 +105,11 @@ def read(file: Path) -> Record:
 def merge(found: Record, file: Path) -> Record:
     """Add runs to the record, in its order, and return all of it; what other commands added meanwhile stays."""
     record = read(file) | found
-    rows = ([*run, *(f"{means[name]:.7g}" for name in MEASURED)] for run, means in sorted(record.items()))
-    records.write(file, [*COLUMNS, *MEASURED], rows)
+    rows = (
+        [*run, *(f"{of_run[name]:.7g}" for name in MEASURED), *(of_run[name] for name in OF_RUN)]
+        for run, of_run in sorted(record.items(), key=itemgetter(0))
+    )
+    records.write(file, [*COLUMNS, *MEASURED, *OF_RUN], rows)
     return record
 
 

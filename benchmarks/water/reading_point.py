@@ -21,6 +21,7 @@ from openmm import app
 
 import openmm_exactrb as rb
 from benchmarks.common.group_temperatures import Groups
+from benchmarks.common.provenance import OF_RUN, of_run
 from benchmarks.common.records import DOCS, Record
 from benchmarks.common.starts import R, context_of, put, simulation_of, thermostat
 from benchmarks.proteins.protein_steps import KINDS, molecules, start_of
@@ -30,7 +31,6 @@ from openmm_exactrb.substeps import DRIFT
 
 MOLECULES, TEMPERATURE, FRICTION = 216, 298.15, 5.0
 FREE = Scheme("free motion", 2, ((DRIFT, 1.0),))
-RECORD = Record(DOCS / "reading_point.csv", ("model", "fs"), ("U_less", "error"))
 
 
 def energy(context: openmm.Context) -> float:
@@ -94,6 +94,7 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=5.0, metavar="PS", help="of each (%(default)s)")
     parser.add_argument("--solute", action="store_true", help="how a drift with inner steps would heat a solute")
     parser.add_argument("--pdb", type=Path, help="a solvated protein, instead of alanine dipeptide")
+    parser.add_argument("--record", type=Path, default=DOCS / "reading_point.csv", metavar="CSV", help="%(default)s")
     args = parser.parse_args()
     if args.solute:
         heating(args)
@@ -107,10 +108,12 @@ def main() -> None:
     openmm.LocalEnergyMinimizer.minimize(context, 10.0, 100)
     integrator.setVelocitiesToTemperature(TEMPERATURE, 1)
     integrator.step(700)
+    record = Record(args.record, ("model", "fs"), ("U_less", "error", *OF_RUN))
     for fs in args.intervals:
         found = differences(context, further, integrator, 0.003 * fs, args.duration)
         mean, error = mean_of(found)
-        RECORD.add({"model": args.model, "fs": fs, "U_less": f"{mean:.4f}", "error": f"{error:.4f}"})
+        point = {"model": args.model, "fs": fs, "U_less": f"{mean:.4f}", "error": f"{error:.4f}"}
+        record.add(point | of_run(context))
 
 
 if __name__ == "__main__":

@@ -62,7 +62,7 @@ INTEGRATORS = {
     "NoseHoover": lambda T, interval: rb.ExactRigidBodyNoseHooverIntegrator(T, 1 / RELAXATION, forceInterval=interval),
     "Hybrid": lambda T, interval: rb.ExactRigidBodyHybridIntegrator(T, FRICTION, forceInterval=interval),
     "NVE": lambda _, step: rb.ExactRigidBodyIntegrator(step),
-    "W2_3m": lambda T, interval: protein_steps.integrator_of("W2_3m", interval, 5.0, T),
+    "W2_3m": lambda T, interval: protein_steps.integrator_of("W2_3m", interval, "5.0", T),
 }
 OF_WATER = [name for name in INTEGRATORS if name != "W2_3m"]
 DRAWS_MOMENTA = "Langevin", "Hybrid"  # the others keep the momentum of the whole, which then belongs to no temperature

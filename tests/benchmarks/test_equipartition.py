@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 
+from benchmarks.common.provenance import OF_RUN
 from benchmarks.common.records import DOCS
 from benchmarks.water.equipartition import gist
 from benchmarks.water.equipartition_record import (
@@ -31,7 +32,7 @@ def record_of(*values):
     """Return a record of runs with seeds 1, 2, ... that have these potential energies."""
     runs = [Run("spce", "NVT", "W2_3m", 6.0, 216, 5.0, 298.15, 50.0, seed) for seed in range(1, 1 + len(values))]
     return {
-        run: dict.fromkeys(MEASURED, 1.0) | {"U": U, "acceptance": math.nan}
+        run: dict.fromkeys(MEASURED, 1.0) | {"U": U, "acceptance": math.nan} | dict.fromkeys(OF_RUN, "known")
         for run, U in zip(runs, values, strict=True)
     }
 
