@@ -31,7 +31,7 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 from benchmarks.common.markdown import table, with_error
-from benchmarks.common.provenance import PROVENANCE, provenance
+from benchmarks.common.provenance import OF_RUN, of_run
 from benchmarks.common.records import ROOT, Record, Row
 from benchmarks.common.starts import R, masses_of, simulation_of
 from openmm_exactrb.support.files import written_whole
@@ -63,7 +63,7 @@ KINDS = {
     "8fs AllBonds": Kind("LangevinMiddle", 8.0, "all", "AllBonds"),
     "BAOA 8fs": Kind("BAOA", 8.0, "all", "HBonds"),
 }
-RECORDED = ("picoseconds", "samples", "failures", "simulated", "forces", "seconds", "density", "engine", *PROVENANCE)
+RECORDED = ("picoseconds", "samples", "failures", "simulated", "forces", "seconds", "density", *OF_RUN)
 
 
 @cache
@@ -222,13 +222,11 @@ def made(folder: Path, name: str, seed: int, window: int, ps: float) -> dict[str
     with written_whole(file_of(folder, name, seed, window), "wb") as out:
         np.savez(out, reduced=reduced, volumes=volumes)
     density = masses_of(simulation.system).sum() / (0.602214076 * volumes.mean())  # kg/m^3
-    ours = isinstance(simulation.integrator, rb.ExactRigidBodyIntegrator)
     return {
         **{"kind": name, "seed": seed, "window": window, "picoseconds": ps, "samples": len(reduced)},
         **{"failures": failures, "simulated": f"{simulated:.6g}", "forces": forces, "density": f"{density:.6g}"},
         "seconds": f"{time.process_time() - begin:.5g}",
-        "engine": simulation.integrator.getEngine() if ours else "",
-        **provenance(),
+        **of_run(simulation.context),
     }
 
 
