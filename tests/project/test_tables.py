@@ -11,6 +11,11 @@ from benchmarks.dipoles.tables import dipole_memory, droplet_gains
 from benchmarks.water.tables import reading_points
 
 ROOT = Path(__file__).resolve().parents[2]
+#: Records of runs that the README and the pages of recommendations quote.
+QUOTED = [
+    *("default_energies", "equipartition", "long_step_heating", "one_line", "outputs", "protein", "protein_steps"),
+    *("reading_point", "rigid_domains", "small_systems", "water_boxes", "water_boxes_loose", "water_densities"),
+]
 
 
 def test_figures_that_are_typed_are_those_that_were_measured():
@@ -37,6 +42,15 @@ def test_figures_that_are_typed_are_those_that_were_measured():
     found = (row for row in tables.rows("one_line") if (row["system"], row["relative_to"]) == (peptide, theirs))
     (cost,) = (float(row["median"]) for row in found)
     assert f"a peptide of 844 atoms with its water costs {cost:.1f} times as much" in readme
+
+
+@pytest.mark.parametrize("name", QUOTED)
+def test_rows_of_records_that_are_quoted_name_engine_platform_and_commit(name):
+    """A row that several runs share names all of theirs."""
+    for row in tables.rows(name):
+        assert set(row["engine"].split(" ")) <= {"host", "native", "openmm"}, row
+        assert row["platform"] in ("CPU", "OpenCL", "Reference"), row
+        assert re.fullmatch(r"[0-9a-f]{8}( [0-9a-f]{8})*", row["commit"]), row
 
 
 def test_the_default_has_at_most_two_fifths_of_the_energy_error_of_verlet_for_one_force_a_step():
