@@ -105,7 +105,7 @@ def _constant(some: list[Row]) -> str:
 
 
 def dipole_droplets() -> str:
-    """Return the largest relative energy errors of a droplet of dipoles, by examples/dipole_fluid.py."""
+    """Return the largest relative energy errors of a droplet of dipoles, by dipole_droplet.py."""
     found, body = rows("dipole_droplet"), []
     for point in distinct(found, "scheme", "rotor", "step"):
         some = [row for row in found if (row["scheme"], row["rotor"], row["step"]) == point]

@@ -1,0 +1,58 @@
+"""The energy error of a droplet of 125 dipoles with three schemes, at equal numbers of force evaluations.
+
+The droplet and its initial states are those of examples/dipole_fluid.py, on the Reference platform. The error is the
+largest relative deviation of the total energy from the initial one, over 20 ps. Results are written to
+docs/dipole_droplet.csv.
+
+    python benchmarks/dipoles/dipole_droplet.py
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import runpy
+from pathlib import Path
+from types import SimpleNamespace
+
+import openmm_exactrb as rb
+from benchmarks.common.provenance import OF_RUN, of_run
+from benchmarks.common.records import DOCS, ROOT, Record
+from benchmarks.common.starts import context_of
+
+EXAMPLE = SimpleNamespace(**runpy.run_path(str(ROOT / "examples" / "dipole_fluid.py")))
+DIPOLES, KT = 125, 0.1  # kJ/mol
+DURATION, LOOK = 20.0, 0.08  # ps of a run, and between two looks, a whole number of steps of each scheme
+#: Schemes and rotors, and the mean time between two force evaluations in ps.
+METHODS = (("W4_4", "exact"), ("SRKN4_6b", "exact"), ("V2", "mclachlan_reich"))
+INTERVAL = 0.02 / 6
+RUN = ("seed", "scheme", "rotor", "step")
+
+
+def row(seed: int, scheme: str, rotor: str) -> dict[str, str]:
+    """Return a row of the record."""
+    step = rb.SCHEMES[scheme].forces * INTERVAL
+    _, system, positions = rb.dipole_fluid(DIPOLES, seed, trap=EXAMPLE.TRAP)
+    integrator = rb.ExactRigidBodyIntegrator(step, scheme=scheme, rotor=rotor)
+    context = context_of(system, integrator, positions, "Reference")
+    context.setVelocitiesToTemperature(KT / EXAMPLE.KB, seed + 1)
+    start, errors = integrator.totalEnergy(), []
+    for _ in range(round(DURATION / LOOK)):
+        integrator.step(round(LOOK / step))
+        errors.append(abs(integrator.totalEnergy() / start - 1.0))
+    found = f"{seed}", scheme, rotor, f"{step:.6g}", f"{integrator.timings.evaluations}", f"{max(errors):.1e}"
+    return dict(zip((*RUN, "forces", "max_error"), found, strict=True)) | of_run(context)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--starts", type=int, default=3, help="%(default)s")
+    parser.add_argument("--record", type=Path, default=DOCS / "dipole_droplet.csv", metavar="CSV", help="%(default)s")
+    args = parser.parse_args()
+    record = Record(args.record, RUN, ("forces", "max_error", *OF_RUN))
+    for (scheme, rotor), seed in itertools.product(METHODS, range(args.starts)):
+        record.add(row(seed, scheme, rotor))
+
+
+if __name__ == "__main__":
+    main()
