@@ -105,18 +105,18 @@ def _constant(some: list[Row]) -> str:
 
 
 def dipole_droplets() -> str:
-    """Return the largest relative energy errors of a droplet of dipoles, by dipole_droplet.py."""
+    """Return the relative energy errors of a droplet of dipoles, by dipole_droplet.py."""
     found, body = rows("dipole_droplet"), []
     for point in distinct(found, "scheme", "rotor", "step"):
         some = [row for row in found if (row["scheme"], row["rotor"], row["step"]) == point]
         forces = round(sum(int(row["forces"]) for row in some) / len(some), -2)
-        errors = ", ".join(row["max_error"].replace("e-0", "e-") for row in some)
+        errors = ", ".join(f"{float(row['relative_std']):.1e}".replace("e-0", "e-") for row in some)
         body.append((f"{point[0]} + {point[1]}", f"{float(point[2]):.2g}", f"{forces:g}", errors))
-    return table(("scheme + rotor", "step", "force evaluations", "largest relative energy error"), body)
+    return table(("scheme + rotor", "step", "force evaluations", "relative energy error"), body)
 
 
 def droplet_gains() -> tuple[float, float]:
     """Return by how many times the error of W4_4 is below that of velocity Verlet, at least and at most."""
-    errors = {(row["scheme"], row["seed"]): float(row["max_error"]) for row in rows("dipole_droplet")}
+    errors = {(row["scheme"], row["seed"]): float(row["relative_std"]) for row in rows("dipole_droplet")}
     gains = [errors["V2", seed] / errors["W4_4", seed] for scheme, seed in errors if scheme == "W4_4"]
     return min(gains), max(gains)
