@@ -13,8 +13,9 @@ from benchmarks.water.tables import reading_points
 ROOT = Path(__file__).resolve().parents[2]
 #: Records of runs that the README and the pages of recommendations quote.
 QUOTED = [
-    *("default_energies", "equipartition", "long_step_heating", "one_line", "outputs", "protein", "protein_steps"),
-    *("reading_point", "rigid_domains", "small_systems", "water_boxes", "water_boxes_loose", "water_densities"),
+    *("default_energies", "dipole_droplet", "equipartition", "long_step_heating", "one_line", "outputs", "protein"),
+    *("protein_steps", "reading_point", "rigid_domains", "small_systems", "water_boxes", "water_boxes_loose"),
+    "water_densities",
 ]
 
 
