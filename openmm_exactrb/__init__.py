@@ -9,6 +9,7 @@ from openmm_exactrb.mechanics.divergence import StepSizeWarning
 from openmm_exactrb.mechanics.fit import ShapeWarning
 from openmm_exactrb.multiple_time_steps.bonded import separate_bonded
 from openmm_exactrb.potentials import Ewald, Open, ReactionField, dipole_strength, soft_dipole_force
+from openmm_exactrb.replacement import replace_integrators
 from openmm_exactrb.reporters import EnergyReporter, MomentReporter
 from openmm_exactrb.rotors import ROTORS, NotConvergedWarning, free_rotor
 from openmm_exactrb.runs import Run
@@ -60,6 +61,7 @@ __all__ = [
     "heavy_hydrogens",
     "loadState",
     "pressure_offset",
+    "replace_integrators",
     "rigid_water",
     "separate_bonded",
     "soft_dipole_force",

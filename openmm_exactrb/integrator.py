@@ -365,7 +365,7 @@ class ExactRigidBodyIntegrator(Copied, OwnProgram, openmm.CustomIntegrator, Bath
 
     def _agree(self) -> None:
         """Adopt the step size and the active force groups that C++ has set, such as those of a CompoundIntegrator."""
-        if (size := self.getStepSize()._value) != self._h:
+        if (size := openmm.CustomIntegrator.getStepSize(self)._value) != self._h:
             self.setStepSize(size)
         if (groups := openmm.CustomIntegrator.getIntegrationForceGroups(self)) != self._groups:
             self.setIntegrationForceGroups(groups)

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 import openmm
 
 import openmm_exactrb
+from openmm_exactrb.command import exec as exec_
 from openmm_exactrb.command import info, run, tune
 from openmm_exactrb.command.arguments import Parser
 from openmm_exactrb.tuning.budget import BudgetSpentError
@@ -19,14 +20,15 @@ from openmm_exactrb.tuning.budget import BudgetSpentError
 # Exceptions caused by a user's files and options.
 _ERRORS = (ValueError, ArithmeticError, OSError, ModuleNotFoundError, BudgetSpentError, openmm.OpenMMException)
 _NOBODY_READS = 141  # the exit status after SIGPIPE, a signal that Windows lacks
-_COMMANDS = {"run": run, "tune": tune, "info": info}
+_COMMANDS = {"run": run, "exec": exec_, "tune": tune, "info": info}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Execute a command line, by default that of the process, and return its exit status.
 
     The exit status is 0 on success, 1 if `exactrb tune` misses its target, 2 after an error, 130 after Ctrl-C, and 141
-    if the program that reads the output has ended. Errors are printed as one line on stderr.
+    if the program that reads the output has ended. `exactrb exec` has the exit status of its script. Errors are printed
+    as one line on stderr.
     """
     args = _parser().parse_args(arguments)
     with warnings.catch_warnings():

@@ -1,0 +1,121 @@
+"""What was replaced while `replace_integrators` was in progress, and what it changes."""
+
+from __future__ import annotations
+
+import threading
+import weakref
+from collections import Counter
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from openmm_exactrb.replacement.clock import Clock
+from openmm_exactrb.replacement.integrators import Replacement
+from openmm_exactrb.step_sizes import described, femtoseconds
+
+_SAME = 1e-9  # relative difference of steps that are equal
+
+
+class Replaced:
+    """What was replaced, as numbers.
+
+    Attributes
+    ----------
+    interval : float or None
+        The step in ps of all integrators, or None if they have the steps of the script.
+    integrators : Counter
+        The number of integrators that were created in place of OpenMM's, by the name of the class in OpenMM.
+    others : Counter
+        The number of Contexts with integrators that were not replaced, by the name of the class.
+    steps, forceEvaluations : int
+        The number of steps that were made, and of the force evaluations that they contain.
+    time : float
+        The simulated time in ps.
+    openmmForceEvaluations : float
+        The number of force evaluations of OpenMM's integrators, with the steps of the script, over this time.
+    """
+
+    def __init__(self, interval: float | None, same_time: bool, tell: Callable[[str], object]) -> None:
+        self.interval, self.integrators, self.others = interval, Counter[str](), Counter[str]()
+        self.steps, self.forceEvaluations, self.time, self.openmmForceEvaluations = 0, 0, 0.0, 0.0
+        self._same_time, self._tell, self._told = same_time, tell, set[str]()
+        self._counting = threading.Lock()
+        self._clocks: weakref.WeakKeyDictionary[Any, Clock] = weakref.WeakKeyDictionary()
+
+    @property
+    def gain(self) -> float:
+        """The force evaluations of OpenMM's integrators relative to those of this package, over the same time."""
+        return self.openmmForceEvaluations / self.forceEvaluations if self.forceEvaluations else 1.0
+
+    def tell_once(self, text: str) -> None:
+        """Tell the user something that was not yet told."""
+        if text not in self._told:
+            self._told.add(text)
+            self._tell(text)
+
+    def add(self, integrator: Any) -> None:
+        """Count a new integrator, and tell what it is and how long a run becomes."""
+        name, h, asked = integrator.replaced.__name__, integrator._h, integrator.scriptStep  # noqa: SLF001
+        self.integrators[name] += 1
+        ours = next(kind.__name__ for kind in type(integrator).__mro__ if kind.__name__.startswith("ExactRigidBody"))
+        step = described(h, integrator.forceEvaluationsPerStep)
+        text = f"{ours} ({integrator.getScheme().name}) in place of {name}: {step}"
+        if abs(h / asked - 1.0) > _SAME:
+            times = f"{h / asked:.6g}"
+            text += f" instead of {femtoseconds(asked)}, so that " + (
+                f"{times} steps of the script are one step, and its run takes the same simulated time"
+                if self._same_time
+                else f"n steps of the script stay n steps, and take {times} times the simulated time"
+            )
+        self.tell_once(text)
+
+    def clock(self, integrator: Any) -> Clock | None:
+        """Return how steps of the script are counted if its simulated time is kept, or None."""
+        if not self._same_time or not isinstance(integrator, Replacement) or not integrator.scriptStep:
+            return None
+        if integrator not in self._clocks:
+            self._clocks[integrator] = Clock(integrator.scriptStep, integrator._h)  # noqa: SLF001
+        return self._clocks[integrator]
+
+    def step(self, integrator: Any, steps: int, take: Callable[[int], None]) -> None:
+        """Let an integrator take steps, and count them."""
+        clock = self.clock(integrator)
+        made = steps if clock is None else clock.steps(steps)
+        take(made)
+        time = made * integrator._h  # noqa: SLF001
+        with self._counting:
+            self.steps += made
+            self.time += time
+            self.forceEvaluations += made * integrator.forceEvaluationsPerStep
+            self.openmmForceEvaluations += time / (integrator.scriptStep or integrator._h)  # noqa: SLF001
+
+    def step_for(self, integrator: Any, size: float) -> float:
+        """Return the step (ps) of an integrator to which the script gives a step."""
+        if self.interval is None:
+            integrator.scriptStep = size
+            return size
+        shown = integrator.scriptStep if self._same_time else self.interval
+        if abs(size / shown - 1.0) > _SAME:
+            if self._same_time:
+                raise ValueError(
+                    f"setStepSize({femtoseconds(size)}) changes the step of the script, which is "
+                    f"{femtoseconds(shown)}: create a new integrator for this step, or omit same_time (--same-time)"
+                )
+            self.tell_once(
+                f"setStepSize({femtoseconds(size)}) has no effect, because the interval of all steps is "
+                f"{femtoseconds(self.interval)}"
+            )
+        return self.interval
+
+    def lines(self) -> Iterator[str]:
+        """Yield what was replaced and what not, in sentences."""
+        if self.integrators:
+            kinds = " and ".join(f"{count} {name}" for name, count in self.integrators.items())
+            yield (
+                f"replaced {kinds}; {self.steps} steps with {self.forceEvaluations} force evaluations took "
+                f"{self.time:.6g} ps, for which OpenMM's integrators need {self.openmmForceEvaluations:.0f}: a gain of "
+                f"{self.gain:.1f}"
+            )
+        else:
+            yield "no integrator was replaced"
+        for name, count in self.others.items():
+            yield f"not replaced: {name} ({count} Context{'s' * (count > 1)})"
