@@ -37,7 +37,7 @@ from openmm_exactrb.support import checks
 from openmm_exactrb.thermostat import Noise, Thermostat, valid_seed
 
 
-class ExactRigidBodyIntegrator(Copied, OwnProgram, openmm.CustomIntegrator, BathAccess):
+class ExactRigidBodyIntegrator(Copied, OwnProgram, BathAccess, openmm.CustomIntegrator):
     """Rigid-body dynamics with the exact free rotation and a symmetric splitting.
 
     Rigid bodies are the clusters of particles that the constraints of the System make rigid. Particles without

@@ -65,10 +65,10 @@ def _run(script: Path, given: list[str]) -> None:
     sys.path[0] = str(script.resolve().parent)
     try:
         runpy.run_path(str(script), run_name="__main__")
+    finally:
         for thread in threading.enumerate():
             if not thread.daemon and thread is not threading.current_thread():
                 thread.join()
-    finally:
         sys.argv, sys.path[:] = before
 
 

@@ -11,7 +11,8 @@ from openmm import app
 
 from openmm_exactrb.step_sizes import femtoseconds
 
-_MOST = 1000  # the largest denominator of a ratio of two steps
+# The largest denominator of a ratio of two steps, and the relative error of the ratio that is due to rounding.
+_MOST, _ROUNDING = 1000, 1e-9
 
 
 class Clock:
@@ -34,14 +35,23 @@ class Clock:
     """
 
     def __init__(self, theirs: float, own: float) -> None:
-        self.ratio = Fraction(own / theirs).limit_denominator(_MOST)
-        self._words = f"{femtoseconds(theirs)}", f"{femtoseconds(own)}"
-        if abs(self.ratio * theirs / own - 1.0) > 1e-6:
-            raise ValueError(
-                f"steps of {self._words[1]} cannot keep the time of steps of {self._words[0]}: choose an interval that "
-                "is a multiple of the step of the script"
-            )
         self._left, self._divided = Fraction(0), False
+        self._begin = 0, 0  # steps made, and the number of steps that the script counts then
+        self.change(theirs, own, 0)
+
+    def change(self, theirs: float, own: float, made: int) -> None:
+        """Change the step of the script, after a number of steps that were made."""
+        words = femtoseconds(theirs), femtoseconds(own)
+        ratio = Fraction(own / theirs).limit_denominator(_MOST)
+        if abs(ratio * theirs / own - 1.0) > _ROUNDING:
+            raise ValueError(
+                f"steps of {words[1]} cannot keep the time of steps of {words[0]}: choose an interval that is a "
+                "multiple of the step of the script"
+            )
+        if made:
+            self._begin = made, self.shown(made)
+            self._left = Fraction(0)
+        self.ratio, self._words = ratio, words
 
     def steps(self, count: int) -> int:
         """Return the number of steps to make for steps of the script; raise ValueError if it is not whole."""
@@ -65,12 +75,12 @@ class Clock:
 
     def shown(self, made: int) -> int:
         """Return the number of steps that the script counts after steps that were made."""
-        return round(made * self.ratio + self._left)
+        return round(self._begin[1] + (made - self._begin[0]) * self.ratio + self._left)
 
     def set(self, count: int) -> int:
         """Return the number of steps made for a number of steps that the script sets."""
-        self._left = Fraction(0)
         self.require(count, f"currentStep = {count}")
+        self._begin, self._left = (0, 0), Fraction(0)
         return int(count / self.ratio)
 
     @contextmanager

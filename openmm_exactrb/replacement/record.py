@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import weakref
 from collections import Counter
@@ -11,6 +12,7 @@ from typing import Any
 from openmm_exactrb.replacement.clock import Clock
 from openmm_exactrb.replacement.integrators import Replacement
 from openmm_exactrb.step_sizes import described, femtoseconds
+from openmm_exactrb.support import checks
 
 _SAME = 1e-9  # relative difference of steps that are equal
 
@@ -79,7 +81,9 @@ class Replaced:
     def step(self, integrator: Any, steps: int, take: Callable[[int], None]) -> None:
         """Let an integrator take steps, and count them."""
         clock = self.clock(integrator)
-        made = steps if clock is None else clock.steps(steps)
+        made = checks.whole(steps, "the number of steps", least=0)
+        if clock is not None:
+            made = clock.steps(made)
         take(made)
         time = made * integrator._h  # noqa: SLF001
         with self._counting:
@@ -90,32 +94,36 @@ class Replaced:
 
     def step_for(self, integrator: Any, size: float) -> float:
         """Return the step (ps) of an integrator to which the script gives a step."""
-        if self.interval is None:
+        if self.interval is None or not size:
             integrator.scriptStep = size
             return size
-        shown = integrator.scriptStep if self._same_time else self.interval
-        if abs(size / shown - 1.0) > _SAME:
-            if self._same_time:
-                raise ValueError(
-                    f"setStepSize({femtoseconds(size)}) changes the step of the script, which is "
-                    f"{femtoseconds(shown)}: create a new integrator for this step, or omit same_time (--same-time)"
-                )
-            self.tell_once(
-                f"setStepSize({femtoseconds(size)}) has no effect, because the interval of all steps is "
-                f"{femtoseconds(self.interval)}"
-            )
+        if (clock := self.clock(integrator)) is not None:
+            clock.change(size, self.interval, _steps_made(integrator))
+            integrator.scriptStep = size
+        elif abs(size / self.interval - 1.0) > _SAME:
+            integrator.scriptStep = size
+            if _steps_made(integrator):
+                told = femtoseconds(size), femtoseconds(self.interval)
+                self.tell_once(f"setStepSize({told[0]}) has no effect, because the interval of all steps is {told[1]}")
         return self.interval
 
     def lines(self) -> Iterator[str]:
         """Yield what was replaced and what not, in sentences."""
         if self.integrators:
             kinds = " and ".join(f"{count} {name}" for name, count in self.integrators.items())
-            yield (
-                f"replaced {kinds}; {self.steps} steps with {self.forceEvaluations} force evaluations took "
-                f"{self.time:.6g} ps, for which OpenMM's integrators need {self.openmmForceEvaluations:.0f}: a gain of "
-                f"{self.gain:.1f}"
+            gain = (
+                f" of {self.time:.6g} ps together, with {self.forceEvaluations} force evaluations; for this time, "
+                f"OpenMM's integrators need {self.openmmForceEvaluations:.0f}, {self.gain:.1f} times as many"
             )
+            yield f"replaced {kinds}, which made {self.steps} steps{gain * (self.steps > 0)}"
         else:
             yield "no integrator was replaced"
         for name, count in self.others.items():
             yield f"not replaced: {name} ({count} Context{'s' * (count > 1)})"
+
+
+def _steps_made(integrator: Any) -> int:
+    """Return the number of steps in the Context of an integrator, or 0 if it has none."""
+    with contextlib.suppress(ValueError):
+        return int(integrator._found().getStepCount())  # noqa: SLF001
+    return 0

@@ -155,9 +155,10 @@ def _entering(record: Replaced) -> Callable[..., None]:
             parts = _parts(integrator)
             if record.interval is not None and any(isinstance(part, Replacement) for part in parts):
                 _check_hydrogens(system, record.interval)
-            if (clock := record.clock(parts[0])) and not any(system is one for one in divided):
+            clocks = [clock for part in parts if (clock := record.clock(part))]
+            if clocks and not any(system is one for one in divided):
                 divided.append(system)
-                _divide_barostats(system, clock.ratio, record)
+                _divide_barostats(system, clocks[0].ratio, record)
             if not _called_by_modeller():
                 kinds = [type(part) for part in parts if not isinstance(part, Replacement)]
                 record.others.update(_name(kind) for kind in kinds)
