@@ -1,4 +1,4 @@
-"""The subcommand ``exactrb exec``, which runs a Python script with integrators of this package in place of OpenMM's."""
+"""The subcommand ``exactrb exec``, which runs a Python script with integrators of this package instead of OpenMM's."""
 
 from __future__ import annotations
 

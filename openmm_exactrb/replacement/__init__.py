@@ -1,4 +1,4 @@
-"""Integrators of this package in place of OpenMM's, for scripts and libraries that create OpenMM's by name.
+"""Integrators of this package instead of OpenMM's, for scripts and libraries that create OpenMM's by name.
 
 `replace_integrators` is a context manager that a user chooses; outside it, OpenMM's classes are as they were.
 """

@@ -58,20 +58,20 @@ class Replacement(ExactRigidBodyIntegrator):
 
 
 class VerletReplacement(Replacement, openmm.VerletIntegrator):
-    """`ExactRigidBodyIntegrator` in place of VerletIntegrator."""
+    """`ExactRigidBodyIntegrator` instead of VerletIntegrator."""
 
     replaced = openmm.VerletIntegrator
     arguments = ("stepSize",)
 
 
 class LangevinMiddleReplacement(Replacement, ExactRigidBodyLangevinIntegrator, openmm.LangevinMiddleIntegrator):
-    """`ExactRigidBodyLangevinIntegrator` in place of LangevinMiddleIntegrator."""
+    """`ExactRigidBodyLangevinIntegrator` instead of LangevinMiddleIntegrator."""
 
     replaced = openmm.LangevinMiddleIntegrator
 
 
 class LangevinReplacement(Replacement, ExactRigidBodyLangevinIntegrator, openmm.LangevinIntegrator):
-    """`ExactRigidBodyLangevinIntegrator` in place of LangevinIntegrator."""
+    """`ExactRigidBodyLangevinIntegrator` instead of LangevinIntegrator."""
 
     replaced = openmm.LangevinIntegrator
 

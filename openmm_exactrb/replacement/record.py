@@ -25,7 +25,7 @@ class Replaced:
     interval : float or None
         The step in ps of all integrators, or None if they have the steps of the script.
     integrators : Counter
-        The number of integrators that were created in place of OpenMM's, by the name of the class in OpenMM.
+        The number of integrators that were created instead of OpenMM's, by the name of the class in OpenMM.
     others : Counter
         The number of Contexts with integrators that were not replaced, by the name of the class.
     steps, forceEvaluations : int
@@ -49,24 +49,24 @@ class Replaced:
         return self.openmmForceEvaluations / self.forceEvaluations if self.forceEvaluations else 1.0
 
     def tell_once(self, text: str) -> None:
-        """Tell the user something that was not yet told."""
+        """Report a sentence that was not yet reported."""
         if text not in self._told:
             self._told.add(text)
             self._tell(text)
 
     def add(self, integrator: Any) -> None:
-        """Count a new integrator, and tell what it is and how long a run becomes."""
+        """Count a new integrator, and report what it is and how long a run becomes."""
         name, h, asked = integrator.replaced.__name__, integrator._h, integrator.scriptStep  # noqa: SLF001
         self.integrators[name] += 1
         ours = next(kind.__name__ for kind in type(integrator).__mro__ if kind.__name__.startswith("ExactRigidBody"))
         step = described(h, integrator.forceEvaluationsPerStep)
-        text = f"{ours} ({integrator.getScheme().name}) in place of {name}: {step}"
+        text = f"{ours} ({integrator.getScheme().name}) instead of {name}: {step}"
         if abs(h / asked - 1.0) > _SAME:
             times = f"{h / asked:.6g}"
-            text += f" instead of {femtoseconds(asked)}, so that " + (
-                f"{times} steps of the script are one step, and its run takes the same simulated time"
+            text += f", and in the script {femtoseconds(asked)}: " + (
+                f"{times} steps of the script are one step, and its run has the same simulated time"
                 if self._same_time
-                else f"n steps of the script stay n steps, and take {times} times the simulated time"
+                else f"n steps of the script stay n steps, and have {times} times the simulated time"
             )
         self.tell_once(text)
 

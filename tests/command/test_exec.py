@@ -107,7 +107,7 @@ def test_a_script_runs_with_ours_and_its_arguments(script, capsys):
     assert out.splitlines()[1:3] == ["20,0.04000000000000002", "40,0.08000000000000006"]
     assert "ExactRigidBodyLangevinIntegrator ['--interval', '3fs', 'more'] 1.0" in out
     assert told.splitlines()[0].endswith(
-        "ExactRigidBodyLangevinIntegrator (BAOA) in place of LangevinMiddleIntegrator: a step is 2 fs with one force "
+        "ExactRigidBodyLangevinIntegrator (BAOA) instead of LangevinMiddleIntegrator: a step is 2 fs with one force "
         "evaluation"
     )
     assert "replaced 1 LangevinMiddleIntegrator, which made 40 steps of 0.08 ps together" in told
@@ -146,7 +146,7 @@ def test_stages_of_a_protocol(script, tmp_path, capsys):
     assert main(["exec", "--interval", "8fs", "--heavy-hydrogens", file, *given, *frames]) == 0
     out, told = capsys.readouterr()
     assert "ended at 0.68" in out
-    assert "so that n steps of the script stay n steps, and take 4 times the simulated time" in told
+    assert "n steps of the script stay n steps, and have 4 times the simulated time" in told
     assert "80 force evaluations; for this time, OpenMM's integrators need 320" in told
     assert int.from_bytes((tmp_path / "prod.dcd").read_bytes()[8:12], sys.byteorder) == 4  # frames
 

@@ -1,4 +1,4 @@
-"""Integrators of the package in place of OpenMM's: which, with which arguments, and what remains afterwards."""
+"""Integrators of the package instead of OpenMM's: which, with which arguments, and what remains afterwards."""
 
 import contextlib
 import copy
@@ -254,8 +254,8 @@ def test_an_interval_is_the_step_of_all_integrators_and_the_first_line_says_how_
         integrator.setStepSize(2 * FS)
         simulation.step(10)
         assert integrator.getStepSize() == 4 * FS
-    assert "a step is 4 fs with one force evaluation instead of 1 fs" in told[0]
-    assert "n steps of the script stay n steps, and take 4 times the simulated time" in told[0]
+    assert "a step is 4 fs with one force evaluation, and in the script 1 fs" in told[0]
+    assert "n steps of the script stay n steps, and have 4 times the simulated time" in told[0]
     assert "setStepSize(2 fs) has no effect" in told[1]
     assert "30 force evaluations" in told[2]
     assert replaced.openmmForceEvaluations == pytest.approx(80 + 20)

@@ -192,6 +192,7 @@ def test_barostats_act_as_often_in_time_once_divided(every, interval, expected):
             integrator = openmm.LangevinMiddleIntegrator(300 * K, 1 / PS, 2 * FS)
             simulation = simulation_of(topology, system, integrator, x, platform=CPU)
             assert system.getForces()[-1].getFrequency() == expected
+            simulation.minimizeEnergy(maxIterations=30)
             simulation.step(8)
     if every:
         assert (
@@ -200,10 +201,8 @@ def test_barostats_act_as_often_in_time_once_divided(every, interval, expected):
 
 
 def test_an_interval_without_a_ratio_is_refused():
-    with kept(4 * FS):
-        simulation = in_water(2.71828 * FS)
-        with pytest.raises(ValueError, match=r"cannot keep the time of steps of 2\.71828 fs"):
-            simulation.step(10)
+    with kept(4 * FS), pytest.raises(ValueError, match=r"cannot keep the time of steps of 2\.71828 fs"):
+        in_water(2.71828 * FS)
 
 
 @given(
