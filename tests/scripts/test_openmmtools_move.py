@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+import warnings
 
 import numpy as np
 import openmm
@@ -9,6 +10,7 @@ import pytest
 from openmm import app, unit
 
 import openmm_exactrb as rb
+from places import device_platform
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 reason = "pip install 'openmm-exactrb[validation]'"
@@ -118,3 +120,111 @@ def test_moves_in_a_sequence_with_monte_carlo_and_a_barostat():
     for k in range(system.getNumConstraints()):
         i, j, length = system.getConstraintParameters(k)
         assert np.linalg.norm(x[i] - x[j]) == pytest.approx(length._value, rel=1e-6)
+
+
+@pytest.mark.opencl
+def test_a_sequence_with_monte_carlo_moves_is_resumed_on_a_device(tmp_path):
+    contexts = cache.global_context_cache
+    contexts.empty()
+    contexts.set_platform(device_platform(), {"Precision": "mixed"})
+    _, system, positions = rb.rigid_water(64, nonbondedMethod=app.PME, nonbondedCutoff=0.5)
+    system.addForce(openmm.MonteCarloBarostat(1.0, 300.0, 2))
+    ladder = [state_at(kelvin, system, pressure=1.0 * unit.atmosphere) for kelvin in (300.0, 320.0)]
+    move = ExactRigidBodyMove(2 * FS, 5 / PS, n_steps=6, engine="native")
+    moves = mcmc.SequenceMove([mcmc.MCRotationMove(atom_subset=[0, 1, 2]), move])
+    sampler = multistate.ReplicaExchangeSampler(mcmc_moves=moves, number_of_iterations=4)
+    reporter = multistate.MultiStateReporter(str(tmp_path / "exchange.nc"), checkpoint_interval=1)
+    start = states.SamplerState(positions, box_vectors=system.getDefaultPeriodicBoxVectors())
+    sampler.create(ladder, start, reporter)
+    sampler.run(2)
+    before = [(state.positions / unit.nanometer, state.velocities._value) for state in sampler.sampler_states]
+    volumes = [state.volume / unit.nanometer**3 for state in sampler.sampler_states]
+    del sampler
+    reporter = multistate.MultiStateReporter(str(tmp_path / "exchange.nc"), open_mode="r+")
+    resumed = multistate.ReplicaExchangeSampler.from_storage(reporter)
+    for (x, v), volume, state in zip(before, volumes, resumed.sampler_states, strict=True):
+        np.testing.assert_allclose(state.positions / unit.nanometer, x, rtol=0.0, atol=1e-6)
+        np.testing.assert_allclose(state.velocities._value, v, rtol=0.0, atol=1e-5)
+        assert state.volume / unit.nanometer**3 == pytest.approx(volume, rel=1e-6)
+    resumed.run()
+    assert resumed.iteration == 4
+    assert [[type(one).__name__ for one in moves] for moves in resumed.mcmc_moves] == [
+        ["MCRotationMove", "ExactRigidBodyMove"]
+    ] * 2
+    assert [moves.statistics[0]["n_proposed"] for moves in resumed.mcmc_moves] == [4, 4]
+    _, integrator = contexts.get_context(ladder[0], move._get_integrator(ladder[0]))  # noqa: SLF001
+    assert integrator.getEngine() == "native"
+    contexts.empty()
+    contexts.platform = None
+
+
+@pytest.mark.parametrize("engine", ["native", "host"])
+def test_each_application_has_noise_and_heat_of_its_own(engine):
+    heats = []
+
+    class Told(ExactRigidBodyMove):
+        def _before_integration(self, context, _):
+            assert context.getIntegrator().heat()._value == 0.0
+
+        def _after_integration(self, context, _):
+            heats.append(context.getIntegrator().heat()._value)
+
+    contexts, move, found = cache.ContextCache(platform=REFERENCE), Told(2 * FS, 5 / PS, n_steps=5, engine=engine), []
+    for _ in range(3):
+        sampled = states.SamplerState(START, velocities=np.zeros((24, 3)) * unit.nanometer / PS)
+        move.apply(state_at(), sampled, context_cache=contexts)
+        found.append(np.array(sampled.positions / unit.nanometer))
+    assert len(contexts) == 1
+    assert len({*heats, 0.0}) == 4
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        assert np.abs(found[i] - found[j]).max() > 1e-4
+
+
+def test_replicas_are_at_rest_after_their_minimisation(tmp_path):
+    cache.global_context_cache.platform = REFERENCE
+    sampler = exchange(tmp_path / "exchange.nc")
+    sampler.minimize(max_iterations=2)
+    assert all(np.abs(state.velocities._value).max() == 0.0 for state in sampler.sampler_states)
+
+
+LONG = {"timestep": 40 * FS, "collision_rate": 1 / PS, "n_steps": 200}
+
+
+@pytest.fixture
+def crowded():
+    """Return a thermodynamic state of water and its positions, for a step that is too long."""
+    _, system, positions = rb.rigid_water(64, nonbondedMethod=app.PME, nonbondedCutoff=0.5)
+    return state_at(300.0, system), states.SamplerState(positions, box_vectors=system.getDefaultPeriodicBoxVectors())
+
+
+@pytest.mark.parametrize("engine", ["native", "host"])
+def test_steps_that_fail_are_tried_again_and_then_raise_what_openmmtools_expects(engine, crowded, tmp_path):
+    state, sampled = crowded
+    start = np.array(sampled.positions / unit.nanometer)
+    contexts = cache.ContextCache(platform=openmm.Platform.getPlatform("CPU"))
+    move = ExactRigidBodyMove(**LONG, reassign_velocities=True, n_restart_attempts=2, engine=engine)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        with pytest.raises(mcmc.IntegratorMoveError, match="NaN after 2 attempts of integration") as raised:
+            move.apply(state, sampled, context_cache=contexts)
+    messages = [str(warning.message) for warning in told if "step " in str(warning.message)]
+    assert len(messages) == 3
+    np.testing.assert_array_equal(sampled.positions / unit.nanometer, start)
+    raised.value.serialize_error(str(tmp_path / "logs" / "failed"))
+    stored = (tmp_path / "logs" / "failed-integrator.xml").read_text(encoding="utf-8")
+    assert type(openmm.XmlSerializer.deserialize(stored)) is rb.ExactRigidBodyLangevinIntegrator
+    # The Context that is shared serves moves that do not fail.
+    ExactRigidBodyMove(1 * FS, 1 / PS, n_steps=5, engine=engine).apply(state, sampled, context_cache=contexts)
+    assert len(contexts) == 1
+    assert 0.0 < np.abs(np.array(sampled.positions / unit.nanometer) - start).max() < 0.1
+
+
+def test_a_sampler_stops_with_its_own_error_and_writes_what_failed(crowded, tmp_path):
+    state, sampled = crowded
+    move = ExactRigidBodyMove(**LONG, reassign_velocities=True, n_restart_attempts=1)
+    sampler = multistate.MultiStateSampler(mcmc_moves=move, number_of_iterations=1)
+    sampler.create([state], sampled, multistate.MultiStateReporter(str(tmp_path / "run.nc")))
+    sampler.sampler_context_cache = cache.ContextCache(platform=openmm.Platform.getPlatform("CPU"))
+    with pytest.raises(multistate.SimulationNaNError, match="Propagating replica 0 at state 0"):
+        sampler.run()
+    assert len([*(tmp_path / "nan-error-logs").iterdir()]) == 4
