@@ -25,6 +25,16 @@ SYSTEM, START = rb.rigid_water(8)[1:]
 KELVIN, PS, FS = unit.kelvin, unit.picosecond, unit.femtosecond
 
 
+@pytest.fixture(autouse=True)
+def shared():
+    """Return the cache of all samplers, empty before and after each test."""
+    contexts = cache.global_context_cache
+    contexts.empty()
+    contexts.platform = REFERENCE
+    yield contexts
+    contexts.empty()
+
+
 def state_at(kelvin=300.0, system=SYSTEM, **more):
     return states.ThermodynamicState(system, kelvin * KELVIN, **more)
 
@@ -86,7 +96,6 @@ def exchange(storage, sampler=None, move=None):
 
 
 def test_a_replica_exchange_is_stored_and_resumed(tmp_path):
-    cache.global_context_cache.platform = REFERENCE
     sampler = exchange(tmp_path / "exchange.nc")
     sampler.run(2)
     before = [state.positions / unit.nanometer for state in sampler.sampler_states]
@@ -123,10 +132,8 @@ def test_moves_in_a_sequence_with_monte_carlo_and_a_barostat():
 
 
 @pytest.mark.opencl
-def test_a_sequence_with_monte_carlo_moves_is_resumed_on_a_device(tmp_path):
-    contexts = cache.global_context_cache
-    contexts.empty()
-    contexts.set_platform(device_platform(), {"Precision": "mixed"})
+def test_a_sequence_with_monte_carlo_moves_is_resumed_on_a_device(tmp_path, shared):
+    shared.set_platform(device_platform(), {"Precision": "mixed"})
     _, system, positions = rb.rigid_water(64, nonbondedMethod=app.PME, nonbondedCutoff=0.5)
     system.addForce(openmm.MonteCarloBarostat(1.0, 300.0, 2))
     ladder = [state_at(kelvin, system, pressure=1.0 * unit.atmosphere) for kelvin in (300.0, 320.0)]
@@ -152,10 +159,8 @@ def test_a_sequence_with_monte_carlo_moves_is_resumed_on_a_device(tmp_path):
         ["MCRotationMove", "ExactRigidBodyMove"]
     ] * 2
     assert [moves.statistics[0]["n_proposed"] for moves in resumed.mcmc_moves] == [4, 4]
-    _, integrator = contexts.get_context(ladder[0], move._get_integrator(ladder[0]))  # noqa: SLF001
+    _, integrator = shared.get_context(ladder[0], move._get_integrator(ladder[0]))  # noqa: SLF001
     assert integrator.getEngine() == "native"
-    contexts.empty()
-    contexts.platform = None
 
 
 @pytest.mark.parametrize("engine", ["native", "host"])
@@ -181,7 +186,6 @@ def test_each_application_has_noise_and_heat_of_its_own(engine):
 
 
 def test_replicas_are_at_rest_after_their_minimisation(tmp_path):
-    cache.global_context_cache.platform = REFERENCE
     sampler = exchange(tmp_path / "exchange.nc")
     sampler.minimize(max_iterations=2)
     assert all(np.abs(state.velocities._value).max() == 0.0 for state in sampler.sampler_states)
