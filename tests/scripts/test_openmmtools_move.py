@@ -30,7 +30,7 @@ def shared():
     """Return the cache of all samplers, empty before and after each test."""
     contexts = cache.global_context_cache
     contexts.empty()
-    contexts.platform = REFERENCE
+    contexts.set_platform(REFERENCE)
     yield contexts
     contexts.empty()
 

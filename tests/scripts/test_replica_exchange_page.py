@@ -32,7 +32,7 @@ def printed(tmp_path_factory):
         patch.chdir(folder)
         patch.setenv("OPENMM_DEFAULT_PLATFORM", "CPU")
         cache.global_context_cache.empty()
-        cache.global_context_cache.platform = None
+        cache.global_context_cache.set_platform(None)
         for piece in PIECES:
             if piece != OPENFE:
                 exec(compile(piece, str(PAGE), "exec"), names)
