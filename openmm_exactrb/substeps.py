@@ -7,6 +7,7 @@ evaluations, whether it commutes with other substeps, its matrix for a harmonic 
 from __future__ import annotations
 
 import re
+from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar
@@ -19,7 +20,7 @@ from openmm_exactrb.mathematics.quaternions import exponential, matrix, multiply
 from openmm_exactrb.mechanics.free_motion import Kinetic, advancing
 from openmm_exactrb.mechanics.state import Flow, Force, State
 from openmm_exactrb.moves import Move, Op
-from openmm_exactrb.support.descriptions import own_methods
+from openmm_exactrb.support.descriptions import Described, own_methods
 from openmm_exactrb.support.types import Array
 
 #: Matrix of a linear map of (q, p): ((dq/dq, dq/dp), (dp/dq, dp/dp)).
@@ -27,12 +28,13 @@ Matrix = tuple[tuple[Any, Any], tuple[Any, Any]]
 
 
 @dataclass(frozen=True)
-class Substep:
+class Substep(Described):
     """A part of a step.
 
     To define a custom substep, derive a frozen dataclass from this class, and use instances of it in the sequence of a
     `Scheme`. The class need not be registered. Substeps are compared by value. A class that overrides `bind` inherits
-    neither `kernel_moves` nor `oscillator`, because these describe the flow of its base class.
+    neither `kernel_moves` nor `oscillator`, because these describe the flow of its base class. For the same reason, a
+    class that overrides `kernel_moves` does not inherit `bind`.
 
     Attributes
     ----------
@@ -68,6 +70,7 @@ class Substep:
         mine, theirs = ([getattr(some, name) for name in names] for some in (self, other))
         return mine == theirs and own_methods(self) == own_methods(other)
 
+    @abstractmethod
     def bind(self, environment: Environment) -> Flow[State]:
         """Return ``flow(state, tau) -> state``, the motion of an `openmm_exactrb.mechanics.state.State` over tau (ps).
 

@@ -18,6 +18,7 @@ from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.rng import Instant
 from openmm_exactrb.mechanics.state import Flow, State
 from openmm_exactrb.schemes import Scheme, thermostatted
+from openmm_exactrb.support.descriptions import Described
 from openmm_exactrb.support.types import Array
 
 #: exchange(P, m, tau, at) -> (P, m): linear and angular momenta as double-doubles of shape (2, 3, N) and (2, 3, K), in
@@ -39,7 +40,7 @@ class Factors(NamedTuple):
     defines: tuple[tuple[str, object], ...]
 
 
-class Thermostat(ABC):
+class Thermostat(Described, ABC):
     """A thermostat of an `openmm_exactrb.ExactRigidBodyIntegrator`.
 
     Derive a frozen dataclass from this class and pass an instance as ``thermostat=``.
@@ -58,7 +59,7 @@ class Thermostat(ABC):
         The message if these factors are not finite.
     flows : tuple of str
         Names of the methods that define the exchange on the host. A class that overrides one of them does not inherit
-        `kernel_exchange`.
+        `kernel_exchange`, and the reverse.
     scheme : str
         The default scheme of an integrator with the thermostat: "BAOA", the splitting of LangevinMiddleIntegrator,
         which evaluates forces once per step. A deterministic thermostat needs a scheme that is symmetric in time.

@@ -26,6 +26,7 @@ from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.openmm_access.units import gas_constant_times
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes.scheme import Scheme
+from openmm_exactrb.support.descriptions import unperformed
 from openmm_exactrb.thermostat import Thermostat
 
 
@@ -74,6 +75,21 @@ class Settings:
         if "_found" not in known:
             known["_found"] = found(context, self.named, self.fast)
         return known["_found"]
+
+    @property
+    def unperformed(self) -> str | None:
+        """Why kernels of a substep or of the thermostat, which were overridden alone, are not those of its flow, or None.
+
+        A class that overrides them in order to have no kernels keeps its flow.
+        """
+        for substep, part in dict((*self.scheme.rows, *self.splitting.rows)).items():
+            why = unperformed(substep, "kernel_moves", "bind")
+            if why and substep.kernel_moves(part) is not None:
+                return why
+        if (thermostat := self.thermostat) is None:
+            return None
+        why = unperformed(thermostat, "kernel_exchange", *thermostat.flows)
+        return why if why and thermostat.kernel_exchange(0.0, (0, 0)) is not None else None
 
     @property
     def numbers(self) -> tuple[str, ...]:

@@ -40,6 +40,7 @@ class Selection:
         if asked != AUTO and asked not in ENGINES:
             raise ValueError(f"the engine {asked!r} is unknown: choose one of {', '.join((*ENGINES, AUTO))}")
         self.asked = asked
+        _check(settings)
         asked_for = in_order() if asked == AUTO else [ENGINES[asked]]
         self._candidates, self._reasons = _serving(asked_for, lambda engine: engine.unsupported(settings))
         self._choose(self._candidates[-1], (*self._reasons, f'engine="{asked}" was asked for')[0], settings)
@@ -56,6 +57,7 @@ class Selection:
 
     def settle(self, context: Any, integrator: openmm.CustomIntegrator, settings: Settings) -> None:
         """Choose the engine for a Context and settings; raise ValueError if no engine supports them."""
+        _check(settings)
         writer, before = self._writer(integrator, settings), self.engine
         serving, reasons = _serving(self._candidates, lambda engine: engine.unsupported_in(context, settings))
         if not self.open:
@@ -98,6 +100,12 @@ class Selection:
                     return None
                 raise ValueError(variables.OTHER_ENGINE.format(engine.name))
         raise ValueError(variables.OTHER_FORMAT)
+
+
+def _check(settings: Settings) -> None:
+    """Raise ValueError if the flow of a substep or thermostat would depend on the engine."""
+    if why := settings.unperformed:
+        raise ValueError(why)
 
 
 def _serving(engines: Sequence[Engine], unsupported: Callable[[Engine], str | None]) -> tuple[list[Engine], list[str]]:

@@ -29,7 +29,9 @@ class SlowDrift(Drift):
 
 
 class OneMethod(Kick):
-    """A kick whose moves alone were written anew, with the same flow."""
+    """A kick whose moves alone were written anew, with the same flow, which the class names."""
+
+    bind = Kick.bind
 
     def kernel_moves(self, part):
         return (Move(Op.KICK, 0.25 * part, groups=-1), Move(Op.KICK, 0.75 * part, groups=-1))
