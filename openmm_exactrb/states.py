@@ -23,8 +23,8 @@ def loadState(target: app.Simulation | openmm.Context, source: str | os.PathLike
 
     A State from ``simulation.saveState`` contains data of its integrator. With an integrator of this package, OpenMM's
     ``simulation.loadState(file)`` and ``context.setState(state)`` ignore the data of OpenMM's integrators, but fail if
-    the State is from another scheme, thermostat or engine of this package, or contains a parameter that the target
-    lacks. This function ignores such data.
+    the State contains a parameter that the target lacks, or is from another engine or from a thermostat with other
+    variables, such as Nosé-Hoover chains of another length. This function ignores such data.
 
     Parameters
     ----------

@@ -26,8 +26,9 @@ def summary(simulation: Any, job: Run, ensemble: str) -> Iterator[str]:
     table, (bodies, _) = _table(job.folder / ENERGIES), integrator.bodyState()
     length = simulation.currentStep * integrator.getStepSize().value_in_unit(unit.picosecond)
     speed = f", {job.wall / length:.3g} s per ps, {86.4 * length / job.wall:.3g} ns/day" if job.wall > 0.0 else ""
-    yield f"{integrator!r}: {length:.4g} ps{speed}"
-    yield f"{integrator.getEngine()} engine: {integrator.engineNote()}"
+    note, _, _ = integrator.engineNote().rpartition("; ")  # without what a step is, which the command said before
+    yield f"{integrator.getScheme().name}: {length:.4g} ps{speed}"
+    yield f"{integrator.getEngine()} engine: {note}"
     yield "temperature: " + ", ".join(f"{name} {T.mean():.1f} K" for name, T in _temperatures(table).items())
     if ensemble == "nve" and len(table) >= _FEW:
         yield f"total energy: standard deviation {table[:, -1].std() / len(bodies):.1e} kJ/mol per body"

@@ -171,8 +171,7 @@ def _simulate(
     for name, reporter in _reporters(args).items():
         job.add_reporter(reporter, name, max(1, round(args.interval / step)))
     steps = integrator.stepsFor(args.duration)
-    if not args.quiet:
-        print(f"{args.duration:g} ps are {steps} steps of {integrator!r}", file=sys.stderr)
+    print(f"{args.duration:g} ps are {steps} steps of {integrator!r}", flush=True)
     with _progress_bar(f"{args.ensemble}, {integrator.getScheme().name}", steps, args.quiet) as tell:
         job.advance(simulation, steps, tell)
     if args.picture:

@@ -8,15 +8,12 @@ from typing import Any
 
 import openmm
 
-from openmm_exactrb.context.variables import OTHER_STORAGE, PREFIX
+from openmm_exactrb.context.variables import OTHER_FORMAT, OTHER_STORAGE, PREFIX
 
 # The data of an integrator in the XML of a State.
 _DATA = re.compile(r"<IntegratorParameters[^>]*/>|<IntegratorParameters.*?</IntegratorParameters>", re.DOTALL)
-_OTHER_SETTINGS = (
-    "the State was saved with another scheme, thermostat or engine of openmm_exactrb, and this integrator cannot read "
-    "its data: load the other data of the State with openmm_exactrb.loadState, or create the integrator with the "
-    "settings of the run that saved the State"
-)
+# The numbers and the vectors of this package in this XML, by their names.
+_NUMBER, _VECTOR = re.compile(rf'\b({PREFIX}\w+)="'), re.compile(rf"<({PREFIX}\w+)>.*?</\1>", re.DOTALL)
 
 
 def load(kind: type[Any], original: Callable[..., None], context: Any, state: openmm.State) -> None:
@@ -29,15 +26,27 @@ def load(kind: type[Any], original: Callable[..., None], context: Any, state: op
     ours = isinstance(context.getIntegrator(), kind)
     has_data = isinstance(state, openmm.State) and state.getDataTypes() & openmm.State.IntegratorParameters
     text = openmm.XmlSerializer.serialize(state) if has_data else ""
-    if ours and f"<Numbers {PREFIX}" in text:
-        raise openmm.OpenMMException(OTHER_STORAGE.format("with", "without"))
+    of_ours = PREFIX in text
+    if ours and of_ours:
+        state = _readable(state, text, context.getIntegrator())
     try:
         original(context, state)
-    except openmm.OpenMMException as error:
-        if not has_data:
-            raise
-        if ours and PREFIX in text:
-            raise openmm.OpenMMException(_OTHER_SETTINGS) from error
-        if not ours and PREFIX not in text:
+    except openmm.OpenMMException:
+        if not has_data or ours == of_ours:
             raise
         original(context, openmm.XmlSerializer.deserialize(_DATA.sub("", text)))
+
+
+def _readable(state: openmm.State, text: str, integrator: openmm.CustomIntegrator) -> openmm.State:
+    """Return a State, given with its XML, without vectors that an integrator lacks, such as those of another scheme.
+
+    OpenMMException is raised if the integrator lacks a number, or if the State was saved with the library.
+    """
+    if f"<Numbers {PREFIX}" in text:
+        raise openmm.OpenMMException(OTHER_STORAGE.format("with", "without"))
+    numbers = map(integrator.getGlobalVariableName, range(integrator.getNumGlobalVariables()))
+    if not {*_NUMBER.findall(text)} <= {*numbers}:
+        raise openmm.OpenMMException(OTHER_FORMAT)
+    vectors = {*map(integrator.getPerDofVariableName, range(integrator.getNumPerDofVariables()))}
+    shorter = _VECTOR.sub(lambda found: found[0] if found[1] in vectors else "", text)
+    return state if shorter == text else openmm.XmlSerializer.deserialize(shorter)

@@ -26,6 +26,7 @@ import numpy as np
 import openmm
 from numpy.typing import NDArray
 
+from openmm_exactrb.context.variables import OTHER_FORMAT
 from openmm_exactrb.engines import compilation
 from openmm_exactrb.engines.compilation import BUNDLED, CompilationError
 from openmm_exactrb.errors import MissingLibraryError
@@ -124,7 +125,7 @@ class Library:
         """
         kinds = (_BOUND, bound), (_STEP, step), (_ASKED, asked)
         self._callbacks = [kind(self._reporting(function)) for kind, function in kinds]
-        self._functions.pi_hooks(*self._callbacks)
+        self._functions.pi_hooks(*self._callbacks, OTHER_FORMAT.encode())
 
     def _reporting(self, function: Callable[..., None]) -> Callable[..., int]:
         """Return a function that calls another one, and returns 1 after an error, which is reported to C++."""

@@ -6,6 +6,8 @@ from functools import cache
 import openmm
 import pytest
 
+from openmm_exactrb.engines.library import library
+from openmm_exactrb.errors import MissingLibraryError
 from openmm_exactrb.openmm_access.platforms import DEVICES, platforms
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
@@ -39,6 +41,16 @@ def _first(names):
         else:
             return present[name], ""
     return None, "; ".join(missing)
+
+
+@cache
+def missing_library():
+    """Return why there is no library of the package, without which engine="native" is refused, or None."""
+    try:
+        library()
+    except MissingLibraryError as error:
+        return str(error)
+    return None
 
 
 def platform_for(engine, precision="double"):

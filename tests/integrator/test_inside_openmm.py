@@ -16,12 +16,12 @@ import pytest
 import openmm_exactrb as rb
 from every_integrator import MOVING, made
 from lifetimes import assert_freed_without_the_garbage_collector
-from openmm_exactrb.engines.library import Machine, of_library
+from openmm_exactrb.engines.library import Machine
 from openmm_exactrb.openmm_access.handed_out import FUNCTIONS
 from places import platform_for
 from starts import context_of, positions_of, velocities_of
 
-pytestmark = pytest.mark.skipif(not of_library(made()), reason="the package's library is not available")
+pytestmark = pytest.mark.library
 
 PLACES = [
     ("Reference", "host"),

@@ -70,8 +70,7 @@ def test_a_chain_is_never_read_from_other_numbers(other, there, kind):
         with pytest.raises((ValueError, openmm.OpenMMException)) as refusal:
             use_bad(how)
         refusals.append(str(refusal.value))
-    ours, theirs = "is from another kind of integrator", "was saved with another scheme, thermostat or engine"
-    assert all(ours in text or (kind == "State" and theirs in text) for text in refusals)
+    assert all("is from another kind of integrator" in text for text in refusals)
     load(target.context, kind, good)
     target.integrator.step(3)
     parted = kind == "State" and "Langevin" in type(target.integrator).__name__  # it goes on with noise of its own

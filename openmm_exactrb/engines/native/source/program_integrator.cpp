@@ -35,10 +35,12 @@ const int Loads = 8;
 const string Prefix = "exactrb_";  // of the names of all variables
 
 // Functions of Python, which return 0, or another number after a call of pi_fail. `number` identifies an integrator.
+// The text is the message about a State whose variables an integrator lacks.
 struct Hooks {
     int (*bound)(void* integrator, long long number) = NULL;  // a Context is being created
     int (*step)(long long number, int steps) = NULL;
     int (*asked)(long long number) = NULL;  // the tolerance of constraints is needed, as at the start of a minimisation
+    string otherFormat;
 } hooks;
 std::atomic<long long> created(0);
 thread_local string lastError;
@@ -770,7 +772,7 @@ void ProgramIntegrator::takeNumbers(const SerializationNode& node) {
         while (index < getNumGlobalVariables() && getGlobalVariableName(index) != name)
             index++;
         if (index == getNumGlobalVariables())
-            throw error("the State was saved with another scheme, thermostat or engine of openmm_exactrb, and this integrator cannot read its data: load the other data of the State with openmm_exactrb.loadState, or create the integrator with the settings of the run that saved the State");
+            throw error(hooks.otherFormat);
         setGlobalVariable(index, node.getDoubleProperty(name));
     }
 }
@@ -863,8 +865,8 @@ EXPORTED const char* pi_error() {
 EXPORTED int pi_owns(void* integrator) {
     return guarded(integrator, [](ProgramIntegrator&) {}) == 0;
 }
-EXPORTED void pi_hooks(decltype(Hooks::bound) bound, decltype(Hooks::step) step, decltype(Hooks::asked) asked) {
-    hooks.bound = bound, hooks.step = step, hooks.asked = asked;
+EXPORTED void pi_hooks(decltype(Hooks::bound) bound, decltype(Hooks::step) step, decltype(Hooks::asked) asked, const char* otherFormat) {
+    hooks.bound = bound, hooks.step = step, hooks.asked = asked, hooks.otherFormat = otherFormat;
 }
 // State why a function of Python failed, and whether a signal has interrupted it.
 EXPORTED void pi_fail(const char* message, int interrupt) {
