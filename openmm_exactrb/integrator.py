@@ -370,9 +370,9 @@ class ExactRigidBodyIntegrator(Copied, OwnProgram, BathAccess, openmm.CustomInte
         if (groups := openmm.CustomIntegrator.getIntegrationForceGroups(self)) != self._groups:
             self.setIntegrationForceGroups(groups)
 
-    def _expect_minimisation(self) -> None:
-        """Prepare for OpenMM's minimiser, whose result the next call checks."""
-        prepare(self._found(), self._bodies)
+    def _expect_minimisation(self, context: openmm.Context | None = None) -> None:
+        """Prepare the Context for OpenMM's minimiser, whose result the next call checks."""
+        prepare(context or self._found(), self._bodies)
         self._minimised = True
 
     def _found(self) -> Any:

@@ -49,6 +49,6 @@ def check(context: openmm.Context) -> None:
 
 def minimise(original: Callable[..., None], context: Any, *arguments: Any, **options: Any) -> None:
     """Minimise the energy of a Context with an integrator of this package by OpenMM's method `original`."""
-    prepare(context, context.getIntegrator().getNamedBodies())
+    context.getIntegrator()._expect_minimisation(context)  # noqa: SLF001
     original(context, *arguments, **options)
     check(context)

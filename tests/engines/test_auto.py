@@ -2,7 +2,6 @@
 
 import contextlib
 import io
-import shutil
 from functools import cache, partial
 from pathlib import Path
 
@@ -21,7 +20,7 @@ from starts import context_of, positions_of
 CPU = openmm.Platform.getPlatform("CPU")
 VILLIN = Path(app.__file__).parent / "data" / "test.pdb"
 NOTE = "kernels of the library perform the steps on the platform {}"
-pytestmark = pytest.mark.skipif(shutil.which("c++") is None, reason="needs a C++ compiler")
+pytestmark = pytest.mark.library
 
 
 # -- Systems: functions that return a System, positions, and arguments of the integrator -----------------------------

@@ -142,7 +142,7 @@ def pull_at_a_time(state):
 
 @pytest.mark.parametrize("pull", [None, random_pull, pull_at_a_time])
 @pytest.mark.parametrize("scheme", ["W2_1", "W4_4"])
-@pytest.mark.parametrize("place", ["host", "no library"])
+@pytest.mark.parametrize("place", [pytest.param("host", marks=pytest.mark.library), "no library"])
 def test_forces_that_change_by_themselves_leave_the_inner_state(place, scheme, pull):
     """Calls cost the output and, if OpenMM may report no change, one look at the forces, or two at random ones."""
     run = Run(place, scheme, False)

@@ -67,6 +67,7 @@ def test_what_is_saved_behind_a_change_continues_with_the_same_bits(scheme, plac
             np.testing.assert_allclose(shown(other), shown(run.context), rtol=0.0, atol=1e-10, err_msg=str(change))
 
 
+@pytest.mark.library
 @pytest.mark.parametrize("scheme", ["S2_2", "W4_4"])
 @pytest.mark.parametrize(
     ("how", "before", "after", "message"),

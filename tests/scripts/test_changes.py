@@ -88,6 +88,7 @@ def test_copies_keep_the_tolerance_of_constraints_and_the_groups():
 # -- copies in C++ ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.library
 def test_the_step_of_the_base_class_is_a_step():
     one, other = water(), water()
     quietly(one.step, 3)
