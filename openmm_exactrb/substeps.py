@@ -7,7 +7,6 @@ evaluations, whether it commutes with other substeps, its matrix for a harmonic 
 from __future__ import annotations
 
 import re
-from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar
@@ -70,7 +69,6 @@ class Substep(Described):
         mine, theirs = ([getattr(some, name) for name in names] for some in (self, other))
         return mine == theirs and own_methods(self) == own_methods(other)
 
-    @abstractmethod
     def bind(self, environment: Environment) -> Flow[State]:
         """Return ``flow(state, tau) -> state``, the motion of an `openmm_exactrb.mechanics.state.State` over tau (ps).
 

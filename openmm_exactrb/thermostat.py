@@ -132,7 +132,7 @@ class Thermostat(Described, ABC):
         """Return a scheme with the drifts and kicks of a step, and the number of steps of `scheme` that it contains."""
         return scheme, 1
 
-    def require_inner(self, scheme: Scheme | None) -> None:  # noqa: B027
+    def require_inner(self, scheme: Scheme | None) -> None:
         """Raise ValueError if a scheme of inner steps, if there is one, is not supported."""
 
     def settings(self) -> Mapping[str, Any]:

@@ -78,7 +78,7 @@ class Settings:
 
     @property
     def unperformed(self) -> str | None:
-        """Why kernels of a substep or of the thermostat, which were overridden alone, are not those of its flow, or None.
+        """Why a substep or the thermostat, whose kernels were overridden alone, has no flow of its own, or None.
 
         A class that overrides them in order to have no kernels keeps its flow.
         """

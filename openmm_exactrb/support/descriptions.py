@@ -14,7 +14,7 @@ _T = TypeVar("_T")
 
 
 class Described:
-    """The base of classes that describe a flow in several forms."""
+    """The base of base classes whose subclasses describe a flow in several forms."""
 
     _as_defined: ClassVar[dict[str, Any]] = {}
 
@@ -71,12 +71,12 @@ def _overridden_alone(thing: Any, description: str, flows: tuple[str, ...]) -> s
 def _overridden(thing: Any, names: tuple[str, ...]) -> Iterator[set[str]]:
     """Yield which of these names are defined in each class, from the most general one, and in the object itself.
 
-    The definition of a class is followed by the names that were added or replaced afterwards. A class in which one of
-    the methods is abstract defines nothing.
+    The definition of a class is followed by the names that were added or replaced afterwards. A class that derives
+    directly from `Described` defines neither a flow nor its description.
     """
     for kind in reversed(type(thing).__mro__):
         present = vars(kind)
-        if not any(getattr(present.get(name), "__isabstractmethod__", False) for name in names):
+        if Described not in kind.__bases__:
             defined = present.get("_as_defined", present)
             yield {name for name in names if name in defined}
             yield {name for name in names if name in present and present[name] is not defined.get(name)}

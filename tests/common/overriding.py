@@ -146,5 +146,3 @@ THERMOSTATS = {
     "chain, flow": overriding(NoseHooverChain, "flow")(300.0, 5.0),
     "chain, moved": overriding(NoseHooverChain, "moved")(300.0, 5.0),
 }
-
-
