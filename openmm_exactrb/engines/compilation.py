@@ -89,13 +89,22 @@ def openmm_folder() -> Path:
     )
 
 
-def digest() -> str:
+def of_this_machine() -> tuple[str, ...]:
+    """Return flags for instructions that this machine's processor has. Results are the same to the bit without them."""
+    if _SYSTEM != "Linux" or platform.machine() != "x86_64":
+        return ()
+    with Path("/proc/cpuinfo").open(encoding="utf-8") as lines:
+        features = next((line for line in lines if line.startswith("flags")), "")
+    return ("-mavx2",) if "avx2" in features.split() else ()
+
+
+def digest(*flags: str) -> str:
     """Return a hash of all that determines the compiled library: texts, flags, compiler, OpenMM and machine."""
     command = compiler()
     version = _executed(command, "--version").stdout
     files = (*SOURCES, *INCLUDED, Path(__file__))  # this file contains the flags
     texts = (part for file in files for part in (file.name.encode(), file.read_bytes()))
-    words = (openmm.__version__, _SYSTEM, platform.machine(), command, version)
+    words = (openmm.__version__, _SYSTEM, platform.machine(), command, version, *flags)
     return hashlib.sha256(b"\0".join((*texts, *map(str.encode, words)))).hexdigest()[:16]
 
 

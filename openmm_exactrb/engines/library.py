@@ -338,7 +338,8 @@ def _bundled() -> Path | None:
 
 def cached() -> Path:
     """Return the path of the library in the user's cache, where the file may not exist yet."""
-    return private_folder() / f"program_integrator-openmm{openmm.__version__}-{compilation.digest()}.so"
+    digest = compilation.digest(*compilation.of_this_machine())
+    return private_folder() / f"program_integrator-openmm{openmm.__version__}-{digest}.so"
 
 
 def compiled() -> Path:
@@ -363,7 +364,7 @@ def compiled() -> Path:
 def _compile(path: Path) -> None:
     _log.warning("compiling the library of integrators, once on this machine, which takes about %d seconds", SECONDS)
     start = time.perf_counter()
-    compilation.build(path)
+    compilation.build(path, *compilation.of_this_machine())
     _log.warning("compiled in %.0f s; later processes load %s", time.perf_counter() - start, path)
 
 

@@ -314,4 +314,4 @@ def _own(number: int, text: str) -> tuple[str, str]:
     names = dict.fromkeys(_FUNCTION.findall(text))
     move = MOVE.findall(text)[-1]
     renamed = [f"#define {name} {name}_{number}" for name in names], [f"#undef {name}" for name in names]
-    return "\n".join((*renamed[0], text, *renamed[1])), f"case {Op.OWN + number}: {move}_{number}(&body, tau); break;"
+    return "\n".join((*renamed[0], text, *renamed[1])), f"case {Op.OWN + number}: {move}_{number}(body, tau); break;"

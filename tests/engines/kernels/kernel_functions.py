@@ -20,9 +20,10 @@ class Functions:
         path = folder / "kernel_functions.so"
         with only_process(folder, wait=True):
             if not path.exists():
-                flags = "-fvisibility=default", f"-I{compilation.SOURCES[0].parent}"
+                flags = "-fvisibility=default", f"-I{compilation.SOURCES[0].parent}", *compilation.of_this_machine()
                 compilation.build(path, *flags, sources=sorted(Path(__file__).parent.glob("*_functions.cpp")))
         self._library = ctypes.CDLL(str(path))
+        self.at_once = self._library.bodies_at_once()
 
     def __call__(self, name, *arguments):
         """Call a function, which writes its results into arrays among its arguments."""

@@ -24,6 +24,26 @@ void rotate(int n, const double* t, const double* body, double* q, double* m) {
     for (int i = 0; i < n; i++)
         kernels.rotate(t[i], body+4*i, numbers(q)+4*i, numbers(m)+3*i);
 }
+// Rotate bodies in groups of at most `together`, as a thread does.
+void drift(int n, int together, double t, const double* constants, double* q, double* m) {
+    for (int i = 0, count; i < n; i += count) {
+        Rigid<3>::Body some[AT_ONCE] = {};
+        count = std::min(together, n-i);
+        for (int l = 0; l < count; l++) {
+            some[l].constants = constants+4*(i+l);
+            std::copy_n(numbers(q)+4*(i+l), 4, some[l].q);
+            std::copy_n(numbers(m)+3*(i+l), 3, some[l].L);
+        }
+        kernels.drift(t, some, count);
+        for (int l = 0; l < count; l++) {
+            std::copy_n(some[l].q, 4, numbers(q)+4*(i+l));
+            std::copy_n(some[l].L, 3, numbers(m)+3*(i+l));
+        }
+    }
+}
+int bodies_at_once() {
+    return AT_ONCE;
+}
 void turn_by(int n, double* q, const double* v) {
     for (int i = 0; i < n; i++)
         kernels.turn_by(numbers(q)+4*i, v+3*i);

@@ -72,6 +72,25 @@ def test_a_rotation_errs_by_roundings_of_its_angle(kernels, regime):
     assert (errors <= ROUNDINGS * U * angles).all(), errors / (U * angles)
 
 
+@pytest.mark.parametrize("regime", MOVING)
+def test_a_body_moves_independently_of_the_bodies_beside_it(kernels, regime):
+    """Bodies with short steps and with long ones, or at rest, in one group: the bits of each alone."""
+    n = 240
+    inertia, (q, m), _ = bodies(regime, np.ones(n), seed=3)
+    m[::31] = 0.0
+    own = np.ascontiguousarray(constants(inertia.T)[:4].T)
+    angles = np.abs(own[:, 0]) * np.linalg.norm(m[..., 0], axis=1)
+    for largest in np.quantile(angles, [0.5, 0.95]):
+        t = 0.3 / largest if largest else 1.0  # the longest short step of half of the bodies, or of most
+        alone = [a.copy() for a in (q, m)]
+        kernels("rotate", n, np.full(n, t), own, *alone)
+        assert (alone[0] != q).any()
+        for together in range(1, kernels.at_once + 1):
+            beside = [a.copy() for a in (q, m)]
+            kernels("drift", n, together, float(t), own, *beside)
+            assert all((a == b).all() for a, b in zip(alone, beside, strict=True)), together
+
+
 @pytest.mark.parametrize("regime", [regime for regime in MOVING if regime not in UNSTABLE])
 def test_many_turns_err_by_roundings_of_their_angle(kernels, regime):
     angles = np.array([30.0, 100.0, 300.0, 1000.0])

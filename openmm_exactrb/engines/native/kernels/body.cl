@@ -7,11 +7,13 @@
 // heat exchanges multiply momenta by common factors. HEAT is the index of the heat among the persistent numbers of the
 // thermostat, or negative.
 
-// The state of a body, the force on it, and the torque in its body frame. Unknown forces and torques are zero.
+// The state of a body, the force on it, the torque in its body frame, and its row of the table of constants. Unknown
+// forces and torques are zero.
 typedef struct {
     number R[3], P[3], q[4], L[3];
     double F[3], T[3];
     double inverse_mass, inverse_inertia[3];
+    GLOBAL const double* constants;
 } Body;
 
 // Bits for the properties of a segment.
@@ -33,18 +35,24 @@ typedef struct {
 #define CONSTANTS 12
 #define ROW 4
 
+// On processors, a thread moves up to AT_ONCE bodies together (source/rigid.cpp).
+#ifndef PROCESSOR
+#define AT_ONCE 1
+#define FOR_SEVERAL_BODIES(i, n) const int n = 1; FOR_BODIES
+#endif
+
 // The number of particles of a body, which is a constant if all bodies have the same number.
 #ifndef SITES
 #define SITES row[2]
 #endif
-#define FOR_SITES _Pragma("unroll 4") for (int s = LANE; s < at.sites; s += LANES)
+#define FOR_SITES _Pragma("unroll 4") for (int s = LANE_ID; s < at.sites; s += LANES)
 #if LANES > 1
-#define LANE LOCAL_ID
+#define LANE_ID LOCAL_ID
 #define FOR_BODIES for (OF_GROUP(i, BODIES))
 #define SHARED LOCAL double shared[LANES];
 #define SHARED_ARG LOCAL_ARG double*
 #else
-#define LANE 0
+#define LANE_ID 0
 #define FOR_BODIES for (OF_THREAD(i, BODIES))
 #define SHARED double shared[1];
 #define SHARED_ARG double*
@@ -54,11 +62,11 @@ typedef struct {
 DEVICE inline void sum_over_lanes(double* values, int n, SHARED_ARG shared) {
 #if LANES > 1
     for (int k = 0; k < n; k++) {
-        shared[LANE] = values[k];
+        shared[LANE_ID] = values[k];
         SYNC_THREADS
         for (int width = LANES/2; width > 0; width /= 2) {
-            if (LANE < width)
-                shared[LANE] += shared[LANE+width];
+            if (LANE_ID < width)
+                shared[LANE_ID] += shared[LANE_ID+width];
             SYNC_THREADS
         }
         values[k] = shared[0];
@@ -114,16 +122,36 @@ DEVICE inline void displaced(const Body* body, double e, const double* F, const 
     turn_by(q, v);
 }
 
-DEVICE inline void load_body(Body* body, int i, GLOBAL const number* R, GLOBAL const number* P, GLOBAL const number* q,
-        GLOBAL const number* L, GLOBAL const double* constants) {
+DEVICE inline void load_state(Body* body, int i, GLOBAL const number* R, GLOBAL const number* P, GLOBAL const number* q, GLOBAL const number* L) {
     EACH(k, 3) {
         body->R[k] = R[k*BODIES+i]; body->P[k] = P[k*BODIES+i]; body->L[k] = L[k*BODIES+i];
-        body->F[k] = body->T[k] = 0.0;
-        body->inverse_inertia[k] = constants[4+k];
     }
     EACH(k, 4)
         body->q[k] = q[k*BODIES+i];
+}
+
+DEVICE inline void load_body(Body* body, int i, GLOBAL const number* R, GLOBAL const number* P, GLOBAL const number* q,
+        GLOBAL const number* L, GLOBAL const double* constants) {
+    load_state(body, i, R, P, q, L);
+    EACH(k, 3) {
+        body->F[k] = body->T[k] = 0.0;
+        body->inverse_inertia[k] = constants[4+k];
+    }
     body->inverse_mass = constants[7];
+    body->constants = constants;
+}
+
+// Store the momenta of a body, and its position and orientation if it has moved.
+DEVICE inline void store_body(const Body* body, int i, GLOBAL number* R, GLOBAL number* P, GLOBAL number* q, GLOBAL number* L, int what) {
+    EACH(k, 3) {
+        P[k*BODIES+i] = body->P[k]; L[k*BODIES+i] = body->L[k];
+    }
+    if (what & MOVES_PARTICLES) {
+        EACH(k, 3)
+            R[k*BODIES+i] = body->R[k];
+        EACH(k, 4)
+            q[k*BODIES+i] = body->q[k];
+    }
 }
 
 #define CONTEXT GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL mixed4* velm, GLOBAL const int4* places, GLOBAL const double* box

@@ -4,7 +4,7 @@
 // Apply friction and noise, or multiply momenta by two factors. The numbers are tau, and the friction factor and the
 // amplitude of the noise, for translation and then for rotation. The last four numbers apply to bodies in flexible
 // molecules.
-DEVICE inline void relax(Body* body, GLOBAL const double* constants, GLOBAL const double* numbers, GLOBAL const double* factors,
+DEVICE inline void relax(Body* body, GLOBAL const double* numbers, GLOBAL const double* factors,
         int flexible, mm_long key, mm_long step, int number, int index) {
     if (SCALES) {
         EACH(k, 3) {
@@ -18,24 +18,24 @@ DEVICE inline void relax(Body* body, GLOBAL const double* constants, GLOBAL cons
     if (of[0] != 0.0) {
         normals(key, step, 16*number, index, n);
         EACH(k, 3)
-            body->P[k] += of[0]*body->P[k]+of[1]*constants[8]*n[k];
+            body->P[k] += of[0]*body->P[k]+of[1]*body->constants[8]*n[k];
     }
     if (of[2] != 0.0 && body->inverse_inertia[2] != 0.0) {
         normals(key, step, 16*number+1, index, n);
         EACH(k, 3)
-            body->L[k] += of[2]*body->L[k]+of[3]*constants[9+k]*n[k];
+            body->L[k] += of[2]*body->L[k]+of[3]*body->constants[9+k]*n[k];
     }
 }
 
 // Exchange heat with body i, and record the momenta before and after the exchange. The kernels of `factors` sum the heat
 // of common factors.
-DEVICE inline void exchange(Body* body, int i, GLOBAL const double* constants, GLOBAL const double* numbers, GLOBAL const double* factors,
+DEVICE inline void exchange(Body* body, int i, GLOBAL const double* numbers, GLOBAL const double* factors,
         int flexible, mm_long key, mm_long step, int number, int index, GLOBAL double* exchanged, GLOBAL double* heat) {
     double P[3], L[3], gain = 0.0;
     EACH(k, 3) {
         P[k] = body->P[k]; L[k] = body->L[k];
     }
-    relax(body, constants, numbers, factors, flexible, key, step, number, index);
+    relax(body, numbers, factors, flexible, key, step, number, index);
     EACH(k, 3) {
         gain += (body->P[k]-P[k])*(body->P[k]+P[k])*body->inverse_mass+(body->L[k]-L[k])*(body->L[k]+L[k])*body->inverse_inertia[k];
         exchanged[k*BODIES+i] = P[k]; exchanged[(3+k)*BODIES+i] = L[k];
@@ -45,162 +45,175 @@ DEVICE inline void exchange(Body* body, int i, GLOBAL const double* constants, G
         heat[i] += 0.5*gain;
 }
 
+// Compute the force on a body, and the torque in its body frame, from the forces on its particles. If these belong to a
+// displaced body, the move in row `first` caused the displacement.
+DEVICE inline void take_forces(Body* body, Place at, int i, GLOBAL const component* force, GLOBAL const int4* places, GLOBAL const int* atoms,
+        GLOBAL const double* sites, GLOBAL double* here, GLOBAL const double* numbers, GLOBAL const int* first, int what, SHARED_ARG shared) {
+    double Q[9], arm[3] = {0.0, 0.0, 0.0}, sums[6] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
+    number place[4];
+    EACH(k, 4)
+        place[k] = body->q[k];
+    if (GRADIENTS && what & IS_DISPLACED) {
+        double F[3], T[3];
+        EACH(k, 3) {
+            F[k] = here[k*BODIES+i]; T[k] = here[(3+k)*BODIES+i];
+        }
+        displaced(body, numbers[first[2]+1], F, T, arm, place);
+    }
+    attitude(place, Q);
+    FOR_SITES {
+        double f[3], r[3];
+        read_force(force, places[atoms[at.atom+s*at.atom_stride]].x, f);
+        turned(Q, sites+3*(at.site+s*at.site_stride), r);
+        EACH(k, 3) {
+            r[k] += arm[k];
+            sums[k] += f[k];
+        }
+        add_cross(sums+3, r, f);
+    }
+    sum_over_lanes(sums, 6, shared);
+    if (GRADIENTS && what & IS_DISPLACED)
+        attitude(body->q, Q);
+    EACH(k, 3)
+        body->F[k] = sums[k];
+    in_body(Q, body->inverse_inertia, sums+3, body->T);
+}
+
+// Perform a move that is not a drift on body i; `row` is its row in the table of moves.
+DEVICE inline void move_body(Body* body, int i, GLOBAL const int* row, GLOBAL const int* index, GLOBAL double* last, GLOBAL double* differences,
+        GLOBAL double* here, GLOBAL double* exchanged, GLOBAL double* heat, GLOBAL const double* numbers, GLOBAL const double* factors, mm_long step,
+        double key, double turns) {
+    const int op = row[0], number = row[1] & 0xffff, late = row[1]>>16;
+    GLOBAL const double* values = numbers+row[2];
+    const double tau = values[0];
+    switch (op) {
+    case KICK:
+    case DISPLACED_KICK:
+        EACH(k, 3) {
+            body->P[k] += tau*body->F[k];
+            body->L[k] += tau*body->T[k];
+        }
+        if (KEEPS_DIFFERENCES && op == DISPLACED_KICK) {
+            const int slot = (((mm_long) turns)*DIFFERENCES_PER_STEP+number)%DIFFERENCES;
+            EACH(k, 3) {
+                differences[(6*slot+k)*BODIES+i] = body->F[k]-here[k*BODIES+i];
+                differences[(6*slot+3+k)*BODIES+i] = body->T[k]-here[(3+k)*BODIES+i];
+            }
+        }
+        break;
+    case EXCHANGE:
+        exchange(body, i, values, factors, index[BODIES+i], (mm_long) key, step+late, number, index[i], exchanged, heat);
+        break;
+    case REMEMBER: {
+        const int slot = (((mm_long) turns)*PER_STEP+number)%MEMORY;
+        EACH(k, 3) {
+            last[(6*slot+k)*BODIES+i] = body->F[k];
+            last[(6*slot+3+k)*BODIES+i] = body->T[k];
+        }
+        break;
+    }
+    case LAST_KICK:
+        for (int w = 0; w < row[3]; w++) {
+            GLOBAL const double* from = last;
+            int slot = (((mm_long) turns)*PER_STEP-1-w+MEMORY)%MEMORY;
+            if (KEEPS_DIFFERENCES && w >= number) {
+                from = differences;
+                slot = (((mm_long) turns)*DIFFERENCES_PER_STEP-1-(w-number)+DIFFERENCES)%DIFFERENCES;
+            }
+            EACH(k, 3) {
+                body->P[k] += values[w]*from[(6*slot+k)*BODIES+i];
+                body->L[k] += values[w]*from[(6*slot+3+k)*BODIES+i];
+            }
+        }
+        break;
+    case DISPLACE:
+        EACH(k, 3) {
+            here[k*BODIES+i] = body->F[k];
+            here[(3+k)*BODIES+i] = body->T[k];
+        }
+        break;
+    OWN_MOVES
+    }
+}
+
+// Write the positions and velocities of the particles of a body. For force-gradient kicks, they are those of the body
+// displaced by e F/M and rotated by e T/I.
+DEVICE inline void show_body(const Body* body, Place at, double e, CONTEXT, GLOBAL const int* atoms, GLOBAL const double* sites, int what) {
+    double Q[9], arm[3];
+    number place[4];
+    EACH(k, 3)
+        arm[k] = body->R[k];
+    EACH(k, 4)
+        place[k] = body->q[k];
+    if (GRADIENTS && e != 0.0) {
+        displaced(body, e, body->F, body->T, arm, place);
+        EACH(k, 3)
+            arm[k] += body->R[k];
+    }
+    attitude(place, Q);
+    if (what & MOVES_PARTICLES)
+        FOR_SITES {
+            double r[3];
+            turned(Q, sites+3*(at.site+s*at.site_stride), r);
+            write_position(posq, posqCorrection, places[atoms[at.atom+s*at.atom_stride]], box, arm[0]+r[0], arm[1]+r[1], arm[2]+r[2]);
+        }
+    if (what & SHOWS_VELOCITIES) {
+        double w[3], u[3];
+        EACH(k, 3)
+            w[k] = body->L[k]*body->inverse_inertia[k];
+        EACH(k, 3)
+            u[k] = Q[3*k]*w[0]+Q[3*k+1]*w[1]+Q[3*k+2]*w[2];
+        FOR_SITES {
+            const int slot = places[atoms[at.atom+s*at.atom_stride]].x;
+            double r[3], v[3] = {body->P[0]*body->inverse_mass, body->P[1]*body->inverse_mass, body->P[2]*body->inverse_mass};
+            turned(Q, sites+3*(at.site+s*at.site_stride), r);
+            add_cross(v, u, r);
+            velm[slot] = make_mixed4((mixed) v[0], (mixed) v[1], (mixed) v[2], velm[slot].w);
+        }
+    }
+}
+
+#ifndef PROCESSOR
+// Advance a body by t, or on processors several bodies (source/rigid.cpp).
+DEVICE inline void drift(double t, Body* body, int n) {
+    EACH(k, 3)
+        body->R[k] += t*body->P[k]*body->inverse_mass;
+    rotate(t, body->constants, body->q, body->L);
+}
+#endif
+
 KERNEL void segment(CONTEXT, GLOBAL const component* force, TABLES, STATE, GLOBAL const int* index, GLOBAL double* last,
         GLOBAL double* differences, GLOBAL double* here, GLOBAL double* exchanged, GLOBAL double* heat, GLOBAL const int* moves,
         GLOBAL const double* numbers, GLOBAL const double* factors, int first, int count, int what, mm_long step, double key, double turns) {
     SHARED
-    FOR_BODIES {
-        const Place at = place_of(i, kind, kinds);
-        GLOBAL const double* own = constants+CONSTANTS*at.constants;
-        Body body;
-        load_body(&body, i, R_, P_, q_, L_, own);
-        double Q[9], arm[3] = {0.0, 0.0, 0.0};
-        number place[4];
-        EACH(k, 4)
-            place[k] = body.q[k];
-        if (GRADIENTS && what & IS_DISPLACED) {
-            double F[3], T[3];
-            EACH(k, 3) {
-                F[k] = here[k*BODIES+i]; T[k] = here[(3+k)*BODIES+i];
-            }
-            displaced(&body, numbers[moves[ROW*first+2]+1], F, T, arm, place);
-        }
-        if (what & HAS_FORCES) {
-            double sums[6] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
-            attitude(place, Q);
-            FOR_SITES {
-                double f[3], r[3];
-                read_force(force, places[atoms[at.atom+s*at.atom_stride]].x, f);
-                turned(Q, sites+3*(at.site+s*at.site_stride), r);
-                EACH(k, 3) {
-                    r[k] += arm[k];
-                    sums[k] += f[k];
-                }
-                add_cross(sums+3, r, f);
-            }
-            sum_over_lanes(sums, 6, shared);
-            if (GRADIENTS && what & IS_DISPLACED)
-                attitude(body.q, Q);
-            EACH(k, 3)
-                body.F[k] = sums[k];
-            in_body(Q, body.inverse_inertia, sums+3, body.T);
-        }
+    FOR_SEVERAL_BODIES(i, n) {
+        Body some[AT_ONCE];
         double e = 0.0;
-        if (LANE == 0)
+        EACH(l, n) {
+            const Place at = place_of(i+l, kind, kinds);
+            load_body(&some[l], i+l, R_, P_, q_, L_, constants+CONSTANTS*at.constants);
+            if (what & HAS_FORCES)
+                take_forces(&some[l], at, i+l, force, places, atoms, sites, here, numbers, moves+ROW*first, what, shared);
+        }
         for (int row = first; row < first+count; row++) {
-            const int op = moves[ROW*row], number = moves[ROW*row+1] & 0xffff, late = moves[ROW*row+1]>>16;
-            GLOBAL const double* values = numbers+moves[ROW*row+2];
-            const double tau = values[0];
-            switch (op) {
-            case DRIFT:
-                EACH(k, 3)
-                    body.R[k] += tau*body.P[k]*body.inverse_mass;
-                rotate(tau, own, body.q, body.L);
-                break;
-            case KICK:
-            case DISPLACED_KICK:
-                EACH(k, 3) {
-                    body.P[k] += tau*body.F[k];
-                    body.L[k] += tau*body.T[k];
-                }
-                if (KEEPS_DIFFERENCES && op == DISPLACED_KICK) {
-                    const int slot = (((mm_long) turns)*DIFFERENCES_PER_STEP+number)%DIFFERENCES;
-                    EACH(k, 3) {
-                        differences[(6*slot+k)*BODIES+i] = body.F[k]-here[k*BODIES+i];
-                        differences[(6*slot+3+k)*BODIES+i] = body.T[k]-here[(3+k)*BODIES+i];
-                    }
-                }
-                break;
-            case EXCHANGE:
-                exchange(&body, i, own, values, factors, index[BODIES+i], (mm_long) key, step+late, number, index[i], exchanged, heat);
-                break;
-            case REMEMBER: {
-                const int slot = (((mm_long) turns)*PER_STEP+number)%MEMORY;
-                EACH(k, 3) {
-                    last[(6*slot+k)*BODIES+i] = body.F[k];
-                    last[(6*slot+3+k)*BODIES+i] = body.T[k];
-                }
-                break;
-            }
-            case LAST_KICK:
-                for (int w = 0; w < moves[ROW*row+3]; w++) {
-                    GLOBAL const double* from = last;
-                    int slot = (((mm_long) turns)*PER_STEP-1-w+MEMORY)%MEMORY;
-                    if (KEEPS_DIFFERENCES && w >= number) {
-                        from = differences;
-                        slot = (((mm_long) turns)*DIFFERENCES_PER_STEP-1-(w-number)+DIFFERENCES)%DIFFERENCES;
-                    }
-                    EACH(k, 3) {
-                        body.P[k] += values[w]*from[(6*slot+k)*BODIES+i];
-                        body.L[k] += values[w]*from[(6*slot+3+k)*BODIES+i];
-                    }
-                }
-                break;
-            case DISPLACE:
-                e = tau;
-                EACH(k, 3) {
-                    here[k*BODIES+i] = body.F[k];
-                    here[(3+k)*BODIES+i] = body.T[k];
-                }
-                break;
-            OWN_MOVES
-            }
+            if (moves[ROW*row] == DISPLACE)
+                e = numbers[moves[ROW*row+2]];
+            if (LANE_ID == 0 && moves[ROW*row] == DRIFT)
+                drift(numbers[moves[ROW*row+2]], some, n);
+            else if (LANE_ID == 0)
+                EACH(l, n)
+                    move_body(&some[l], i+l, moves+ROW*row, index, last, differences, here, exchanged, heat, numbers, factors, step, key, turns);
         }
-        if (LANE == 0) {
-            EACH(k, 3) {
-                P_[k*BODIES+i] = body.P[k]; L_[k*BODIES+i] = body.L[k];
-            }
-        }
-        if (LANE == 0 && (what & MOVES_PARTICLES)) {
-            EACH(k, 3)
-                R_[k*BODIES+i] = body.R[k];
-            EACH(k, 4)
-                q_[k*BODIES+i] = body.q[k];
-        }
+        EACH(l, n) {
+            if (LANE_ID == 0)
+                store_body(&some[l], i+l, R_, P_, q_, L_, what);
 #if LANES > 1
-        // The other threads of the body read the new state from global memory. The displacement is the same for all
-        // threads.
-        SYNC_THREADS
-        if (LANE != 0)
-            for (int row = first; row < first+count; row++)
-                if (moves[ROW*row] == DISPLACE)
-                    e = numbers[moves[ROW*row+2]];
-        EACH(k, 3) {
-            body.R[k] = R_[k*BODIES+i]; body.P[k] = P_[k*BODIES+i]; body.L[k] = L_[k*BODIES+i];
-        }
-        EACH(k, 4)
-            body.q[k] = q_[k*BODIES+i];
+            // The other threads of the body read the new state from global memory.
+            SYNC_THREADS
+            load_state(&some[l], i+l, R_, P_, q_, L_);
 #endif
-        EACH(k, 3)
-            arm[k] = body.R[k];
-        EACH(k, 4)
-            place[k] = body.q[k];
-        if (GRADIENTS && e != 0.0) {
-            displaced(&body, e, body.F, body.T, arm, place);
-            EACH(k, 3)
-                arm[k] += body.R[k];
-        }
-        if (what & (MOVES_PARTICLES | SHOWS_VELOCITIES))
-            attitude(place, Q);
-        if (what & MOVES_PARTICLES)
-            FOR_SITES {
-                double r[3];
-                turned(Q, sites+3*(at.site+s*at.site_stride), r);
-                write_position(posq, posqCorrection, places[atoms[at.atom+s*at.atom_stride]], box, arm[0]+r[0], arm[1]+r[1], arm[2]+r[2]);
-            }
-        if (what & SHOWS_VELOCITIES) {
-            double w[3], u[3];
-            EACH(k, 3)
-                w[k] = body.L[k]*body.inverse_inertia[k];
-            EACH(k, 3)
-                u[k] = Q[3*k]*w[0]+Q[3*k+1]*w[1]+Q[3*k+2]*w[2];
-            FOR_SITES {
-                const int slot = places[atoms[at.atom+s*at.atom_stride]].x;
-                double r[3], v[3] = {body.P[0]*body.inverse_mass, body.P[1]*body.inverse_mass, body.P[2]*body.inverse_mass};
-                turned(Q, sites+3*(at.site+s*at.site_stride), r);
-                add_cross(v, u, r);
-                velm[slot] = make_mixed4((mixed) v[0], (mixed) v[1], (mixed) v[2], velm[slot].w);
-            }
+            if (what & (MOVES_PARTICLES | SHOWS_VELOCITIES))
+                show_body(&some[l], place_of(i+l, kind, kinds), e, posq, posqCorrection, velm, places, box, atoms, sites, what);
         }
     }
 }

@@ -30,7 +30,7 @@ KERNEL void pushed(CONTEXT, TABLES, STATE, GLOBAL number* P_to, GLOBAL number* L
         }
         sum_over_lanes(sums, 6, shared);
         in_body(Q, body.inverse_inertia, sums+3, L);
-        if (LANE == 0) {
+        if (LANE_ID == 0) {
             double gain = 0.0;
             EACH(k, 3) {
                 gain += sums[k]*(2.0*body.P[k]+sums[k])*body.inverse_mass+L[k]*(2.0*body.L[k]+L[k])*body.inverse_inertia[k];
@@ -61,7 +61,7 @@ KERNEL void moved(CONTEXT, TABLES, STATE) {
                 sums[k] += masses[at.mass+s]*body.inverse_mass*(x[k]-body.R[k]-r[k]);
         }
         sum_over_lanes(sums, 3, shared);
-        if (LANE == 0 && sums[0]*sums[0]+sums[1]*sums[1]+sums[2]*sums[2] > STILL*STILL) {
+        if (LANE_ID == 0 && sums[0]*sums[0]+sums[1]*sums[1]+sums[2]*sums[2] > STILL*STILL) {
             EACH(k, 3)
                 R_[k*BODIES+i] += sums[k];
         }

@@ -6,6 +6,8 @@
 #include <cstring>
 #if defined(_MSC_VER)
 #include <intrin.h>
+#elif defined(__GNUC__)
+#pragma GCC diagnostic ignored "-Wpsabi" // about calls with vectors, which are inlined
 #endif
 #define PROCESSOR
 #define KERNEL
@@ -70,7 +72,7 @@ template <class T> struct number_of {
 };
 typedef number_of<double> number;
 
-inline double low_parts_along(const double* a, const number* q) {
+template <class T> inline T low_parts_along(const T* a, const number_of<T>* q) {
     return a[0]*q[0].low+a[1]*q[1].low+a[2]*q[2].low+a[3]*q[3].low;
 }
 
@@ -150,6 +152,10 @@ struct Thread {
 // The function of the C library calls the library, because of nan.
 inline double fmax(double a, double b) {
     return a < b ? b : a;
+}
+
+inline bool all_of(bool condition) {
+    return condition;
 }
 
 using std::fabs;

@@ -1,8 +1,9 @@
 // The kernels of rigid bodies for processors. Bodies with SITES particles each have a struct of their own for the
 // commonest number of particles.
-#include "dialect.h"
+#include "several.h"
 #define LANES 1
 #define OWN_MOVES
+#define FOR_SEVERAL_BODIES(i, n) for (int n, i = begin_of(thread, BODIES); (n = std::min(AT_ONCE, begin_of(thread+1, BODIES)-i)) > 0; i += n)
 
 namespace exactrb {
 namespace {
@@ -10,7 +11,15 @@ namespace {
 // Bodies for which a further thread is used.
 const int BODIES_OF_THREAD = 256;
 
-template <int KNOWN> struct Rigid : Thread {
+// The flow of a free body, or of several bodies at once.
+template <class REALS, class NUMBERS> struct FreeRotation {
+#define ALL_OF(condition) all_of(condition)
+#include "../kernels/nodes.cl"
+#include "../kernels/rotation.cl"
+};
+typedef FreeRotation<several, number_of<several> > RotationOfSeveral;
+
+template <int KNOWN> struct Rigid : Thread, FreeRotation<double, number> {
     int BODIES, MEMORY, PER_STEP, DIFFERENCES, DIFFERENCES_PER_STEP, KEEPS_DIFFERENCES, GRADIENTS, SCALES, HEAT;
     double STILL, LIGHT;
     explicit Rigid(const Constants& constants) {
@@ -20,10 +29,40 @@ template <int KNOWN> struct Rigid : Thread {
         STILL = exactrb::real(constants, "STILL"), LIGHT = exactrb::real(constants, "LIGHT");
     }
 #define SITES (KNOWN > 0 ? KNOWN : row[2])
-#include "../kernels/nodes.cl"
-#include "../kernels/rotation.cl"
 #include "../kernels/random.cl"
 #include "../kernels/body.cl"
+    // Advance n bodies by t: together if one short step suffices for each, and otherwise one by one.
+    void drift(double t, Body* some, int n) {
+        EACH(l, n)
+            EACH(k, 3)
+                some[l].R[k] += t*some[l].P[k]*some[l].inverse_mass;
+#if AT_ONCE > 1
+        number_of<several> q[4], m[3];
+        several of[4];
+        EACH(l, AT_ONCE) {
+            const Body& body = some[std::min(l, n-1)];
+            EACH(k, 4) {
+                q[k].high[l] = body.q[k].high, q[k].low[l] = body.q[k].low;
+                of[k][l] = body.constants[k];
+            }
+            EACH(k, 3)
+                m[k].high[l] = body.L[k].high, m[k].low[l] = body.L[k].low;
+        }
+        const several x = m[0], y = m[1], z = m[2], G = sqrt(x*x+y*y+z*z), parts = fabs(of[0]*t)*G*(1.0/SHORT);
+        if (n > 1 && t != 0.0 && all_of((G > 1e-70) & (parts <= 1.0))) {
+            RotationOfSeveral().rotate_short(several()+t, G, of[0], of[1], of[2], of[3], q, m);
+            EACH(l, n) {
+                EACH(k, 4)
+                    some[l].q[k] = number(q[k].high[l], q[k].low[l]);
+                EACH(k, 3)
+                    some[l].L[k] = number(m[k].high[l], m[k].low[l]);
+            }
+            return;
+        }
+#endif
+        EACH(l, n)
+            rotate(t, some[l].constants, some[l].q, some[l].L);
+    }
 #include "../kernels/rigid.cl"
 #include "../kernels/rigid_updates.cl"
 #include "../kernels/sums.cl"

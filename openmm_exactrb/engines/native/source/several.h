@@ -4,6 +4,7 @@
 #define EXACTRB_SEVERAL_H_
 
 #include "dialect.h"
+#define ZERO REALS()
 
 namespace exactrb {
 namespace {
@@ -11,13 +12,32 @@ namespace {
 #if defined(__GNUC__)
 #define AT_ONCE 4
 #define LANE(x, l) (x)[l]
-#pragma GCC diagnostic ignored "-Wpsabi" // about calls, which are inlined
 typedef double several __attribute__((vector_size(8*AT_ONCE)));
 
 inline several sqrt(several x) {
     EACH(l, AT_ONCE)
         x[l] = std::sqrt(x[l]);
     return x;
+}
+
+inline several fabs(several x) {
+    EACH(l, AT_ONCE)
+        x[l] = std::fabs(x[l]);
+    return x;
+}
+
+inline several fmax(several a, several b) {
+    EACH(l, AT_ONCE)
+        a[l] = fmax(a[l], b[l]);
+    return a;
+}
+
+// Whether a comparison holds for all elements.
+template <class Mask> inline bool all_of(Mask condition) {
+    bool all = true;
+    EACH(l, AT_ONCE)
+        all &= condition[l] != 0;
+    return all;
 }
 #else
 #define AT_ONCE 1

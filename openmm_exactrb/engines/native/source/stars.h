@@ -9,7 +9,6 @@
 #define VECTOR_AT(array, first, outer, e) vector_at(array, first, outer, e)
 #define PUT_AT(array, first, outer, e, number) put_at(array, first, outer, e, number)
 #define TAKE_FROM(array, first, number) take_from(array, first, number)
-#define ZERO REALS()
 
 namespace exactrb {
 namespace {
@@ -75,18 +74,6 @@ inline several small_orders(several small, several largest, several bound) {
 inline several part_of(several a, several b) {
     EACH(l, AT_ONCE)
         a[l] = part_of(a[l], b[l]);
-    return a;
-}
-
-inline several fabs(several x) {
-    EACH(l, AT_ONCE)
-        x[l] = std::fabs(x[l]);
-    return x;
-}
-
-inline several fmax(several a, several b) {
-    EACH(l, AT_ONCE)
-        a[l] = fmax(a[l], b[l]);
     return a;
 }
 #endif
