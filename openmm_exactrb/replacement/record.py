@@ -6,9 +6,12 @@ import contextlib
 import threading
 import weakref
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+import openmm
+
+from openmm_exactrb.context.updates import BAROSTATS, frequency
 from openmm_exactrb.replacement.clock import Clock
 from openmm_exactrb.replacement.integrators import Replacement
 from openmm_exactrb.step_sizes import described, femtoseconds
@@ -42,6 +45,9 @@ class Replaced:
         self._same_time, self._tell, self._told = same_time, tell, set[str]()
         self._counting = threading.Lock()
         self._clocks: weakref.WeakKeyDictionary[Any, Clock] = weakref.WeakKeyDictionary()
+        # The System of each integrator with a clock, and the number of forces of which barostats were divided.
+        self._systems: weakref.WeakKeyDictionary[Any, openmm.System] = weakref.WeakKeyDictionary()
+        self._divided: weakref.WeakKeyDictionary[openmm.System, int] = weakref.WeakKeyDictionary()
 
     @property
     def gain(self) -> float:
@@ -84,6 +90,8 @@ class Replaced:
         made = checks.whole(steps, "the number of steps", least=0)
         if clock is not None:
             made = clock.steps(made)
+            if (system := self._systems.get(integrator)) is not None:
+                self._divide_barostats(system, clock)  # which scripts add to a System that already has a Context
         take(made)
         time = made * integrator._h  # noqa: SLF001
         with self._counting:
@@ -91,6 +99,30 @@ class Replaced:
             self.time += time
             self.forceEvaluations += made * integrator.forceEvaluationsPerStep
             self.openmmForceEvaluations += time / (integrator.scriptStep or integrator._h)  # noqa: SLF001
+
+    def enter(self, system: openmm.System, integrators: Sequence[Replacement], alone: bool) -> None:
+        """Prepare for a Context with integrators of this package, which are alone or parts of a CompoundIntegrator."""
+        for integrator in integrators:
+            if (clock := self.clock(integrator)) is None:
+                continue
+            if not alone:
+                raise ValueError(
+                    "the steps of a CompoundIntegrator cannot be divided: omit same_time (--same-time), or use its "
+                    "integrators separately"
+                )
+            self._systems[integrator] = system
+            self._divide_barostats(system, clock)
+
+    def _divide_barostats(self, system: openmm.System, clock: Clock) -> None:
+        """Let new barostats of a System act about as often in time as with the steps of the script."""
+        seen, self._divided[system] = self._divided.get(system, 0), system.getNumForces()
+        for force in [system.getForce(k) for k in range(seen, system.getNumForces())]:
+            name = type(force).__name__
+            if name in BAROSTATS and (every := int(frequency(force))):
+                force.setFrequency(max(1, round(every / clock.ratio)))
+                self.tell_once(
+                    f"the {name} acts every {force.getFrequency()} steps instead of every {every} steps of the script"
+                )
 
     def step_for(self, integrator: Any, size: float) -> float:
         """Return the step (ps) of an integrator to which the script gives a step."""
@@ -112,8 +144,9 @@ class Replaced:
         if self.integrators:
             kinds = " and ".join(f"{count} {name}" for name, count in self.integrators.items())
             gain = (
-                f" of {self.time:.6g} ps together, with {self.forceEvaluations} force evaluations; for this time, "
-                f"OpenMM's integrators need {self.openmmForceEvaluations:.0f}, {self.gain:.1f} times as many"
+                f" of {self.time:.6g} ps together, with {self.forceEvaluations} force evaluations; OpenMM's "
+                f"integrators, at the steps of the script, need {self.openmmForceEvaluations:.0f} for this time, "
+                f"{self.gain:.1f} times as many"
             )
             yield f"replaced {kinds}, which made {self.steps} steps{gain * (self.steps > 0)}"
         else:

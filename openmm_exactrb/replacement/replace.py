@@ -12,7 +12,6 @@ from typing import Any
 import openmm
 from openmm import app, unit
 
-from openmm_exactrb.context.updates import BAROSTATS, frequency
 from openmm_exactrb.openmm_access import parameters
 from openmm_exactrb.openmm_access.units import not_negative, picoseconds
 from openmm_exactrb.replacement.clock import changes_of_simulation
@@ -146,22 +145,17 @@ def _called_by_modeller() -> bool:
 def _entering(record: Replaced) -> Callable[..., None]:
     """Return the constructor of a Context that checks what was replaced, and what was not."""
     original = openmm.Context.__init__
-    divided: list[Any] = []  # Systems with barostats
 
     @functools.wraps(original)
     def constructor(self: Any, *arguments: Any, **named: Any) -> None:
         system, integrator = (*arguments, None, None)[:2]
         if isinstance(system, openmm.System) and isinstance(integrator, openmm.Integrator):
             parts = _parts(integrator)
-            if record.interval is not None and any(isinstance(part, Replacement) for part in parts):
-                _check_hydrogens(system, record.interval)
-            clocks = [clock for part in parts if (clock := record.clock(part))]
-            if clocks and not any(system is one for one in divided):
-                divided.append(system)
-                _divide_barostats(system, clocks[0].ratio, record)
+            ours = [part for part in parts if isinstance(part, Replacement)]
+            _check_hydrogens(system, record.interval, ours)
+            record.enter(system, ours, alone=parts == [integrator])
             if not _called_by_modeller():
-                kinds = [type(part) for part in parts if not isinstance(part, Replacement)]
-                record.others.update(_name(kind) for kind in kinds)
+                record.others.update(_name(type(part)) for part in parts if part not in ours)
         original(self, *arguments, **named)
 
     return constructor
@@ -178,28 +172,18 @@ def _name(kind: type[Any]) -> str:
     return kind.__name__ if module == "openmm.openmm" else f"{kind.__name__} of {module}"
 
 
-def _check_hydrogens(system: openmm.System, interval: float) -> None:
-    """Raise ValueError if hydrogens are too light for a step (ps)."""
+def _check_hydrogens(system: openmm.System, interval: float | None, ours: list[Replacement]) -> None:
+    """Raise ValueError if hydrogens are too light for a step (ps), unless the script has long steps itself."""
+    if interval is None or interval <= _LONGEST or all(part.scriptStep > _LONGEST for part in ours):
+        return
     masses = parameters.masses(system)
-    light = int(((masses > 0.0) & (masses < _HEAVY)).sum())
-    if light and interval > _LONGEST:
+    if light := int(((masses > 0.0) & (masses < _HEAVY)).sum()):
         raise ValueError(
             f"an interval of {femtoseconds(interval)} needs heavy hydrogens, but {light} particles of this System have "
             f"less than {_HEAVY} amu: use heavy_hydrogens=True (--heavy-hydrogens), which acts on what createSystem "
             "returns, call openmm_exactrb.heavy_hydrogens(system, topology) for any other System, or choose at most "
             f"{femtoseconds(_LONGEST)}"
         )
-
-
-def _divide_barostats(system: openmm.System, ratio: Any, record: Replaced) -> None:
-    """Let barostats act about as often in time as with the steps of the script."""
-    for force in system.getForces():
-        if type(force).__name__ in BAROSTATS and (every := int(frequency(force))):
-            force.setFrequency(max(1, round(every / ratio)))
-            record.tell_once(
-                f"the {type(force).__name__} acts every {force.getFrequency()} steps instead of every {every} steps of "
-                "the script"
-            )
 
 
 def _heavy(owner: type[Any], record: Replaced) -> Callable[..., Any]:

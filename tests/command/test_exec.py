@@ -147,7 +147,7 @@ def test_stages_of_a_protocol(script, tmp_path, capsys):
     out, told = capsys.readouterr()
     assert "ended at 0.68" in out
     assert "n steps of the script stay n steps, and have 4 times the simulated time" in told
-    assert "80 force evaluations; for this time, OpenMM's integrators need 320" in told
+    assert "80 force evaluations; OpenMM's integrators, at the steps of the script, need 320" in told
     assert int.from_bytes((tmp_path / "prod.dcd").read_bytes()[8:12], sys.byteorder) == 4  # frames
 
 

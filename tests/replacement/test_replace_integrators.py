@@ -263,6 +263,30 @@ def test_an_interval_is_the_step_of_all_integrators_and_the_first_line_says_how_
     assert integrator.getStepSize() == 1 * FS
 
 
+def test_steps_of_a_compound_are_counted():
+    _, system, x = rb.rigid_water(8)
+    with silent(interval=4 * FS) as replaced:
+        compound = openmm.CompoundIntegrator()
+        compound.addIntegrator(openmm.LangevinMiddleIntegrator(300, 1, 0.002))
+        compound.addIntegrator(openmm.LangevinMiddleIntegrator(400, 1, 0.001))
+        context = openmm.Context(system, compound, REFERENCE)
+        context.setPositions(x)
+        for k in (0, 1, 0):
+            compound.setCurrentIntegrator(k)
+            compound.step(5)
+    assert context.getTime()._value == pytest.approx(0.06)
+    assert (replaced.steps, replaced.openmmForceEvaluations) == (15, pytest.approx(10 * 2 + 5 * 4))
+
+
+def test_long_steps_of_a_script_have_light_particles_of_its_own():
+    system = openmm.System()
+    system.addParticle(1.0)
+    with silent(interval=20 * FS):
+        openmm.Context(system, openmm.LangevinMiddleIntegrator(300, 1, 0.01), REFERENCE)
+        with pytest.raises(ValueError, match="needs heavy hydrogens"):
+            openmm.Context(system, openmm.LangevinMiddleIntegrator(300, 1, 0.001), REFERENCE)
+
+
 def test_light_hydrogens_are_refused_at_long_intervals():
     topology, system, x = in_box()
     with silent(interval=8 * FS):

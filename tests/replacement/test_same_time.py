@@ -200,6 +200,32 @@ def test_barostats_act_as_often_in_time_once_divided(every, interval, expected):
         )
 
 
+def test_a_barostat_that_is_added_later_is_divided_too():
+    """As OpenMM's cookbook adds it."""
+    topology, system, x = in_box()
+    with kept(4 * FS):
+        integrator = openmm.LangevinMiddleIntegrator(300 * K, 1 / PS, 2 * FS)
+        simulation = simulation_of(topology, system, integrator, x, platform=CPU)
+        simulation.minimizeEnergy(maxIterations=30)
+        simulation.step(4)
+        for every, expected in ((50, 25), (20, 10)):
+            system.addForce(openmm.MonteCarloBarostat(1 * unit.bar, 300 * K, every))
+            simulation.context.reinitialize(preserveState=True)
+            simulation.step(4)
+            assert system.getForces()[-1].getFrequency() == expected
+        assert simulation.currentStep == 12
+    assert time_of(simulation) == pytest.approx(24.0)
+
+
+def test_parts_of_a_compound_are_refused():
+    _, system, _ = rb.rigid_water(1)
+    compound = openmm.CompoundIntegrator()
+    with kept(4 * FS):
+        compound.addIntegrator(openmm.VerletIntegrator(0.002))
+        with pytest.raises(ValueError, match="the steps of a CompoundIntegrator cannot be divided"):
+            openmm.Context(system, compound, REFERENCE)
+
+
 def test_an_interval_without_a_ratio_is_refused():
     with kept(4 * FS), pytest.raises(ValueError, match=r"cannot keep the time of steps of 2\.71828 fs"):
         in_water(2.71828 * FS)
