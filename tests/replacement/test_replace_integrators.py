@@ -318,6 +318,19 @@ def test_hydrogens_of_systems_of_createsystem_are_heavy_in_water_too():
     assert light.getParticleMass(1)._value == pytest.approx(1.008, abs=1e-3)
 
 
+@pytest.mark.parametrize(
+    "name",
+    ["AmberPrmtopFile", "CharmmPsfFile", "DesmondDMSFile", "ForceField", "GromacsTopFile", "TinkerFiles"],
+)
+def test_each_class_of_openmm_that_creates_systems_makes_hydrogens_heavy(name):
+    before = getattr(app, name).createSystem
+    with silent(heavy_hydrogens=True):
+        assert getattr(app, name).createSystem is not before
+    assert getattr(app, name).createSystem is before
+    with silent():
+        assert getattr(app, name).createSystem is before
+
+
 def test_systems_without_hydrogens_stay_as_they_are():
     topology = app.Topology()
     residue = topology.addResidue("CL", topology.addChain())
