@@ -201,11 +201,12 @@ def crowded():
     return state_at(300.0, system), states.SamplerState(positions, box_vectors=system.getDefaultPeriodicBoxVectors())
 
 
+@pytest.mark.parametrize("platform", ["Reference", "CPU"])
 @pytest.mark.parametrize("engine", ["native", "host"])
-def test_steps_that_fail_are_tried_again_and_then_raise_what_openmmtools_expects(engine, crowded, tmp_path):
+def test_steps_that_fail_are_tried_again_and_then_raise_what_openmmtools_expects(engine, platform, crowded, tmp_path):
     state, sampled = crowded
     start = np.array(sampled.positions / unit.nanometer)
-    contexts = cache.ContextCache(platform=openmm.Platform.getPlatform("CPU"))
+    contexts = cache.ContextCache(platform=openmm.Platform.getPlatform(platform))
     move = ExactRigidBodyMove(**LONG, reassign_velocities=True, n_restart_attempts=2, engine=engine)
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")

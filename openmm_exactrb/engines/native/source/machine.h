@@ -83,6 +83,9 @@ public:
     // Take the box vectors, which are zero without a box, and return whether they have changed. Take the places of the atoms.
     virtual bool takeBox(const std::vector<double>& box) = 0;
     virtual void takePlaces() = 0;
+    // Raise OpenMM's error if a coordinate is not finite, where OpenMM's forces would index arrays with it.
+    virtual void checkPlaces() const {
+    }
     // Note that the forces for the kernels have just been computed, and return whether they are still there.
     virtual void takeForces() = 0;
     virtual bool hasForces() const = 0;

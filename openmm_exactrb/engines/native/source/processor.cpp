@@ -5,6 +5,7 @@
 #include "openmm/System.h"
 #include "openmm/reference/ReferencePlatform.h"
 #include "openmm/reference/ReferenceVirtualSites.h"
+#include <cmath>
 #include <cstring>
 
 using namespace OpenMM;
@@ -91,6 +92,11 @@ public:
         return !same;
     }
     void takePlaces() override {
+    }
+    void checkPlaces() const override {  // the mesh of PME, on Reference
+        for (const Vec3& x : *data.positions)
+            if (!std::isfinite(x[0]) || !std::isfinite(x[1]) || !std::isfinite(x[2]))
+                throw OpenMMException("Particle coordinate is NaN");
     }
     void takeForces() override {
         memcpy(forces.data(), data.forces->data(), forces.size()*sizeof(double));

@@ -372,6 +372,7 @@ void ProgramIntegrator::launch(int index) {
 
 // Evaluate the forces of those groups (bits) that are active.
 void ProgramIntegrator::evaluate(int groups) {
+    machine->checkPlaces();
     context->calcForcesAndEnergy(true, false, groups & getIntegrationForceGroups());
     machine->takeForces();
     forceGroups = getIntegrationForceGroups(), forcesStale = false;
