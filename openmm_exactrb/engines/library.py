@@ -76,7 +76,7 @@ class Library:
                 f"{path} cannot be loaded ({error}): delete this file so that it is compiled again"
             ) from error
         self._functions.pi_error.restype = ctypes.c_char_p
-        self._functions.pi_register.restype = ctypes.c_char_p
+        self._functions.pi_register.restype = self._functions.pi_derivative.restype = ctypes.c_char_p
         if built_for := self._functions.pi_register():
             raise MissingLibraryError(
                 f"{path} was built for OpenMM {built_for.decode()}, not {openmm.__version__}: delete this file so that "
@@ -144,6 +144,16 @@ class Library:
     def step_openmm(self, integrator: Any, steps: int) -> None:
         """Let OpenMM perform its own part of steps, in which barostats and thermostats of the System act."""
         self.call("own", integrator, steps)
+
+    def derivative(self, energy: str, variable: str) -> list[str]:
+        """Return the steps that compute the derivative of an energy; see source/expressions.h.
+
+        An OpenMMException is raised if the energy has functions other than those of OpenMM.
+        """
+        steps = self._functions.pi_derivative(energy.encode(), variable.encode())
+        if steps is None:
+            raise openmm.OpenMMException(self._functions.pi_error().decode())
+        return str(steps.decode()).splitlines()
 
     def call(self, function: str, integrator: Any, *arguments: Any) -> None:
         """Call a function of the library without Python's global lock; raise OpenMMException if the function fails."""

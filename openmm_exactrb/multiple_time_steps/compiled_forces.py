@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,6 @@ from openmm_exactrb.kernels.records import Terms
 from openmm_exactrb.mechanics.state import Force, State
 from openmm_exactrb.multiple_time_steps.bonded import COULOMB, LENNARD_JONES, PAIR, Bonded
 from openmm_exactrb.openmm_access import arrays
-from openmm_exactrb.support.messages import shown
 from openmm_exactrb.support.types import Array, Indices
 
 # Formulas of harmonic torsions in OpenMM's CHARMM force fields, without blanks. The difference of angles is periodic in
@@ -76,8 +75,8 @@ class BondedForces(ContextForces):
 
 
 def terms_of(forces: Sequence[Bonded], groups: int) -> Terms | None:
-    """Return the terms of forces in given groups (bits), or None if a force has an unsupported form."""
-    if unknown(forces):
+    """Return the terms of forces in given groups (bits), or None unless all forces have one of the known forms."""
+    if not all(has_known_form(of.force) for of in forces):
         return None
     some = [force for force in forces if groups >> force.force.getForceGroup() & 1]
     bonds, angles, pairs, impropers = (
@@ -92,26 +91,17 @@ def terms_of(forces: Sequence[Bonded], groups: int) -> Terms | None:
     return Terms(*bonds, *angles, *_torsions(some), *pairs, *impropers, *_maps(some))
 
 
-def unknown(forces: Iterable[Bonded]) -> str | None:
-    """Return the name of the first force with an unsupported form and the reason, or None if there is no such force."""
-    reasons = ((of.force.getName(), _unsupported(of.force)) for of in forces)
-    return next((f"{name}, which {why}" for name, why in reasons if why), None)
-
-
-def _unsupported(force: Any) -> str | None:
-    """Return why a bonded force has an unsupported form, or None."""
+def has_known_form(force: Any) -> bool:
+    """Return whether a bonded force has a form for which there is a kernel, without periodic boundary conditions."""
     if force.usesPeriodicBoundaryConditions():
-        return "uses periodic boundary conditions"
+        return False
     if not hasattr(force, "getEnergyFunction"):  # a force of OpenMM with a fixed form
-        return None
+        return True
     if force.getNumGlobalParameters():
-        return "has global parameters"
-    known = False
+        return False
     if isinstance(force, openmm.CustomBondForce):
-        known = force.getEnergyFunction() == PAIR or _has(force, LENNARD_JONES, force.getPerBondParameterName)
-    if isinstance(force, openmm.CustomTorsionForce):
-        known = _has(force, _HARMONIC, force.getPerTorsionParameterName)
-    return None if known else f"has the energy {shown(force.getEnergyFunction())}"
+        return force.getEnergyFunction() == PAIR or _has(force, LENNARD_JONES, force.getPerBondParameterName)
+    return isinstance(force, openmm.CustomTorsionForce) and _has(force, _HARMONIC, force.getPerTorsionParameterName)
 
 
 def _has(force: Any, formula: re.Pattern[str], name: Callable[[int], str]) -> bool:
@@ -151,7 +141,7 @@ def _of_pairs(pairs: Bonded) -> list[Array]:
 
 def _of_impropers(torsions: Bonded) -> list[Array]:
     half_circle = _number(torsions.force, _HARMONIC)
-    assert half_circle is not None  # ensured by `_known`
+    assert half_circle is not None  # ensured by `has_known_form`
     own = {torsions.force.getPerTorsionParameterName(i): torsions.numbers[:, i] for i in range(2)}
     return [own["theta0"], own["k"], np.full(len(torsions.whole), 2.0 * half_circle)]
 

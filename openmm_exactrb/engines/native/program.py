@@ -118,13 +118,15 @@ class Program:
     fingerprint of this state, or 0 without one, and "enough" is the number of steps after which its output is cheap.
 
     `numbers` contains the name of an array, and the names of the integrator's global variables to which its numbers are
-    copied after steps.
+    copied after steps. `parameters` contains the name of an array, and the names of the Context's parameters that it
+    receives before steps.
     """
 
     arrays: dict[str, Array] = field(default_factory=dict)
     scalars: dict[str, float] = field(default_factory=lambda: dict.fromkeys(_COUNTS, 0.0))
     sequences: dict[str, list[Operation]] = field(default_factory=dict)
     numbers: tuple[str, Sequence[str]] = ("", ())
+    parameters: tuple[str, Sequence[str]] = ("", ())
 
     def array(self, name: str, size: int, element: int = 8, saved: bool = False) -> str:
         """Declare an array of at least one element, with `element` bytes per element, and return its name."""
@@ -150,8 +152,9 @@ class Program:
             f"array {a.name} {a.element} {a.size} {'saved' if a.saved else 'scratch'}" for a in self.arrays.values()
         ]
         lines += [f"scalar {name} {value!r}" for name, value in self.scalars.items()]
-        if self.numbers[1]:
-            lines.append(f"numbers {' '.join((self.numbers[0], *self.numbers[1]))}")
+        for what, (array, names_in_order) in (("numbers", self.numbers), ("parameters", self.parameters)):
+            if names_in_order:
+                lines.append(" ".join((what, array, *names_in_order)))
         names: dict[Launch, str] = {}
         source = None
         for launch in self.launches:

@@ -11,12 +11,13 @@ import openmm
 
 from openmm_exactrb.engines.native.flexible.blocks import Group
 from openmm_exactrb.engines.native.flexible.evaluated import Evaluated
+from openmm_exactrb.engines.native.flexible.expressions import Custom, without_kernel
 from openmm_exactrb.engines.native.flexible.inner import InnerSteps
 from openmm_exactrb.engines.native.flexible.tables import particles
 from openmm_exactrb.kernels.records import Terms
 from openmm_exactrb.mechanics.bodies import RigidBodies
-from openmm_exactrb.multiple_time_steps.bonded import BONDED_FORCES, acting, groups_of
-from openmm_exactrb.multiple_time_steps.compiled_forces import NO_TERMS, terms_of, unknown
+from openmm_exactrb.multiple_time_steps.bonded import BONDED_FORCES, Bonded, acting, groups_of
+from openmm_exactrb.multiple_time_steps.compiled_forces import NO_TERMS, has_known_form, terms_of
 from openmm_exactrb.multiple_time_steps.excerpt import Excerpt, bonded_excerpt
 from openmm_exactrb.multiple_time_steps.fast_forces import FastForces
 from openmm_exactrb.openmm_access import parameters, platforms
@@ -47,6 +48,8 @@ class Molecules:
         The index of the body of each particle, or -1 for a particle that belongs to no body.
     terms : Terms
         The fast forces of the molecules, with the particle indices of the System.
+    customs : tuple of Custom
+        The fast forces whose energies are expressions.
     inner : InnerSteps or None
         The inner steps, or None if there are no fast forces.
     late : bool
@@ -58,8 +61,14 @@ class Molecules:
     masses: Array
     body_of: Indices
     terms: Terms = NO_TERMS
+    customs: tuple[Custom, ...] = ()
     inner: InnerSteps | None = None
     late: bool = False
+
+    @property
+    def particles_of_terms(self) -> list[Indices]:
+        """The particles (T, k) of the terms of each kind."""
+        return [*particles(self.terms), *(custom.particles for custom in self.customs)]
 
 
 class Served(NamedTuple):
@@ -109,10 +118,11 @@ def served(context: Any, bodies: RigidBodies, fast: FastForces | None, settings:
     single = np.setdiff1d(excerpt.particles, bodies.clusters.particles)
     groups = [*_chosen(clusters, excerpt.particles, True), Group(single[:, None])]
     without = _chosen(clusters, excerpt.particles, False)
-    late, terms = fast.excerpt is not None, terms_of(excerpt.forces, settings.groups)
+    fixed, customs = _by_form(excerpt.forces, settings.groups)
+    terms = terms_of(fixed, settings.groups)
     assert terms is not None  # the kernels support all fast forces here
-    require_few_terms(terms, MOST_TERMS if on_gpu else None)
-    with_terms = Molecules(groups, masses, bodies.owner, terms, inner, late)
+    with_terms = Molecules(groups, masses, bodies.owner, terms, customs, inner, late=fast.excerpt is not None)
+    require_few_terms(with_terms.particles_of_terms, MOST_TERMS if on_gpu else None)
     return Served((with_terms, *([Molecules(without, masses, bodies.owner)] if without else [])))
 
 
@@ -132,9 +142,16 @@ def require_small_clusters(bodies: RigidBodies, largest: int | None) -> None:
             )
 
 
-def require_few_terms(terms: Terms, most: int | None) -> None:
+def _by_form(forces: Sequence[Bonded], groups: int) -> tuple[list[Bonded], tuple[Custom, ...]]:
+    """Return the forces that have kernels of their own, and those in given groups (bits) that are expressions."""
+    fixed = [force for force in forces if has_known_form(force.force)]
+    others = [force for force in forces if not has_known_form(force.force)]
+    return fixed, tuple(Custom.of(force) for force in others if groups >> force.force.getForceGroup() & 1)
+
+
+def require_few_terms(particles_of_terms: Sequence[Indices], most: int | None) -> None:
     """Raise NotServedError if a particle is in more than `most` bonded terms; None means any number."""
-    count = np.bincount(np.concatenate([of_kind.ravel() for of_kind in particles(terms)]), minlength=1)
+    count = np.bincount(np.concatenate([of_kind.ravel() for of_kind in particles_of_terms]), minlength=1)
     if most is not None and count.max() > most:
         raise NotServedError(
             f"particle {count.argmax()} is in {count.max()} bonded terms, but the native engine supports at most "
@@ -155,5 +172,5 @@ def _without_kernel(
         return f"the fast force {excerpt.on_sites[0].force.getName()} on virtual sites"
     if len(excerpt.part.turning):
         return f"fast forces on {bodies.name(int(excerpt.part.turning[0]))}, which is rigid"
-    force = unknown(excerpt.forces)
-    return force and f"the fast force {force}"
+    found = ((of.force.getName(), without_kernel(of.force)) for of in excerpt.forces if not has_known_form(of.force))
+    return next((f"the fast force {name}, which {why}" for name, why in found if why), None)

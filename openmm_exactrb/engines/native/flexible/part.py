@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from openmm_exactrb.engines.library import Machine
-from openmm_exactrb.engines.native.flexible import constraints, tables
+from openmm_exactrb.engines.native.flexible import constraints, expressions, tables
 from openmm_exactrb.engines.native.flexible.blocks import blocks_of
 from openmm_exactrb.engines.native.flexible.inner import Moves, moves_of, up_to_drifts
 from openmm_exactrb.engines.native.flexible.molecules import Molecules
@@ -28,7 +28,7 @@ _MOVES, _PLACES, _PROJECTS, _SHOWS = 1, 2, 4, 8
 _CONTEXT = ("posq", "posqCorrection", "velm", "force", "places", "box")
 _FORCES = ("memory", "differences", "here", "push", "seen", "exchanged", "heat")
 _ATOMS = ("atoms", "bodies", "inverse")
-_TABLES = ("blocks", "block_atoms", "clusters", "lengths", "graphs", "room", "members", "constants", "exact")
+_TABLES = ("blocks", "block_atoms", "clusters", "lengths", "graphs", "room", "members", "constants", "exact", "customs")
 
 
 class Flexible(NamedTuple):
@@ -54,11 +54,12 @@ class FlexiblePart:
     def __init__(self, flexible: Flexible, demands: Demands, prefix: str) -> None:
         molecules, self._particles, precision = flexible
         self._molecules, self._demands, self._prefix = molecules, demands, prefix
-        terms = tables.particles(molecules.terms)
+        terms, customs = molecules.particles_of_terms, molecules.customs
+        self._parameters = expressions.names_of(customs)
         self.blocks = blocks_of(molecules.groups, terms, len(molecules.masses), divides=not demands.pairs)
         self._precision, self._masses, self._body_of = precision, molecules.masses, molecules.body_of
         self._of_clusters, of_clusters = constraints.arrays(self.blocks, shared=demands.pairs)
-        self._of_terms, of_terms = tables.arrays(molecules.terms, self.blocks, precision)
+        self._of_terms, of_terms = tables.arrays(molecules.terms, self.blocks, precision, customs)
         self.n = len(self.blocks.particles)
         self.columns = self._body_of[self.blocks.particles]
         self._open = of_terms["PLACES_IN_ALL"] > self.n
@@ -70,8 +71,15 @@ class FlexiblePart:
         constants |= {"FINE": "float" if self._precision is np.float32 else "double", "STILL": STILL}
         constants |= {"BLOCK": BLOCK, "GROUPS": GROUPS, "LIGHT": LIGHT}
         constants |= dict(demands.defines)
-        files = ("random.cl", "context.cl", "layout.cl", "fixed_sums.cl", "star.cl", "graph.cl", "bonded.cl")
-        return Source("flexible", (*files, "inner.cl", "sums.cl", "flexible_updates.cl"), tuple(constants.items()))
+        files: tuple[str, ...] = ("random.cl", "context.cl", "layout.cl", "fixed_sums.cl", "star.cl", "graph.cl")
+        forces = (
+            *expressions.pieces(self._molecules.customs),
+            "bonded.cl",
+            "inner.cl",
+            "sums.cl",
+            "flexible_updates.cl",
+        )
+        return Source("flexible", (*files, *forces), tuple(constants.items()))
 
     def _named(self, *names: str) -> tuple[str, ...]:
         return tuple(self._prefix + name for name in names)
@@ -107,6 +115,9 @@ class FlexiblePart:
         to.array(f"{self._prefix}exchanged", 12 * self.n * demands.exchanges)
         to.array(f"{self._prefix}heat", self.n * demands.exchanges, saved=True)
         to.array(f"{self._prefix}kinetic", SUMS * GROUPS)
+        to.array(f"{self._prefix}parameters", len(self._parameters))
+        if self._parameters:
+            to.parameters = f"{self._prefix}parameters", self._parameters
 
     def launches(self, segment: Segment, table: Table) -> list[Operation]:
         """Return the launches of a segment: a single launch, or one for each drift if blocks share terms.
@@ -148,7 +159,7 @@ class FlexiblePart:
         arguments: tuple[str | int, ...] = (
             *_CONTEXT,
             *state,
-            *self._named(*_FORCES, *_ATOMS, *_TABLES),
+            *self._named(*_FORCES, *_ATOMS, *_TABLES, "parameters"),
             *(Table.MOVES, Table.NUMBERS, "factors", *rows, what, "#step", "$key", "$turn", "$hottest"),
         )
         return Launch(self._source, "inner_steps", THREADS * len(self.blocks), arguments, THREADS)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from openmm_exactrb.engines.native.flexible import expressions
 from openmm_exactrb.engines.native.flexible.blocks import Blocks
+from openmm_exactrb.engines.native.flexible.expressions import Custom
 from openmm_exactrb.kernels.records import Terms
 from openmm_exactrb.support.types import Array, Indices
 
@@ -110,12 +113,13 @@ def places(found: Copies, blocks: Blocks, room: Local) -> Indices:
 
 
 def arrays(
-    terms: Terms, blocks: Blocks, precision: type[np.floating]
+    terms: Terms, blocks: Blocks, precision: type[np.floating], customs: Sequence[Custom] = ()
 ) -> tuple[dict[str, NDArray[Any]], dict[str, int]]:
     """Return the kernel's arrays of terms and blocks by name, and the constants with which the kernel is compiled."""
     kinds = kinds_of(terms, precision)
     found = {name: copies(kind.particles, blocks) for name, kind in kinds.items()}
-    room = local(blocks, list(found.values()))
+    of_customs = [copies(custom.particles, blocks) for custom in customs]
+    room = local(blocks, [*found.values(), *of_customs])
     constants = {"BLOCKS": len(blocks), "PLACES_IN_ALL": len(room.atoms), "HARMONICS": terms.of_torsions.shape[1]}
     constants["PLACES_OF_BLOCK"] = int(np.diff(room.first).max(initial=1))
     constants["OWN_OF_BLOCK"] = int(np.diff(blocks.first_atom).max(initial=1))
@@ -133,11 +137,29 @@ def arrays(
         own.append(kind.numbers[:, which.terms].ravel())
         first = np.searchsorted(which.block, np.arange(len(blocks) + 1))
         table += [first[:-1], first[1:]]
+    constants["PATCHES"] = sum(map(len, exact))
+    exact.append(terms.patches.ravel())
+    heads, starts, steps = list[Any](), list[Any](), list[Any]()
+    for custom, which in zip(customs, of_customs, strict=True):
+        head = [custom.particles.shape[1], len(which.terms), sum(map(len, members)), sum(map(len, exact))]
+        members.append(places(which, blocks, room).T.ravel())
+        exact.append(custom.numbers[:, which.terms].ravel())
+        rows, values = expressions.rows(custom, expressions.names_of(customs), sum(map(len, exact)))
+        exact.append(values)
+        heads += [*head, sum(map(len, steps)) // rows.shape[1], len(rows)]
+        starts += np.searchsorted(which.block, np.arange(len(blocks) + 1)).tolist()
+        steps.append(rows.ravel())
+    constants |= {
+        "CUSTOMS": len(customs),
+        "STARTS_OF_CUSTOMS": len(heads),
+        "STEPS_OF_CUSTOMS": len(heads) + len(starts),
+    }
     made = {
         "blocks": np.stack(table, axis=1).astype(np.int32),
         "block_atoms": room.atoms.astype(np.int32),
         "members": np.concatenate(members).astype(np.int32),
         "constants": np.concatenate(numbers).astype(precision),
-        "exact": np.concatenate([*exact, terms.patches.ravel()]),
+        "exact": np.concatenate(exact),
+        "customs": np.concatenate([np.array(heads + starts, dtype=int), *steps]).astype(np.int32),
     }
-    return made, constants | {"PATCHES": sum(map(len, exact))}
+    return made, constants

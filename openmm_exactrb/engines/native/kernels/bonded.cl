@@ -1,13 +1,11 @@
 // Forces of bonds, angles, torsions, maps of two torsions and pairs of atoms within a block of clusters, with the
-// formulas of openmm_exactrb.kernels.compiled.bonded. Differences of positions are computed in double precision, and
+// formulas of openmm_exactrb.kernels.compiled.bonded, and of custom forces. Differences of positions are computed in double precision, and
 // all further numbers in the type SCALAR, which is `fine` (float or double), or double where float is not accurate
 // enough. On processors, a thread evaluates AT_ONCE terms at once, and NUMERIC is a vector with a number of each (LANE).
 //
 // Tables are stored column by column: number k of term t is numbers[k*count+t]. The atoms of a term are given by their
 // indices in the block. A block adds forces only to its own atoms, the first `own` of these indices. A term that
 // involves atoms of several blocks has a copy in each of these blocks.
-
-typedef struct { int first, last, count; } Terms; // first term of a thread, end of its block, terms of all blocks
 
 #ifndef PROCESSOR // source/several.h
 #define AT_ONCE 1
@@ -19,6 +17,7 @@ typedef int Atoms;
 #define numbers_of(column, t, last) (column)[t]
 #define strengths_of(column, t, last) (column)[t]
 #define DISTANCE(a, b, e) (xs[3*(a)+e]-xs[3*(b)+e])
+#define DERIVATIVE(kind, v) derivative_of_##kind(force, v, numbers+t, terms.count, parameters)
 #define ADD(a, f, u) add((f)*u##0, (f)*u##1, (f)*u##2, a, sums, broken, own);
 #define ADD_TWO(a, f, u, b, g, v) ADD(a, f, u) ADD(b, g, v)
 #define ADD_THREE(a, f, u, b, g, v, c, h, w) ADD(a, f, u) ADD(b, g, v) ADD(c, h, w)
@@ -33,10 +32,9 @@ typedef int Atoms;
 #define SCALAR fine
 #define NUMERIC FINES
 
-// Return the terms of a kind that a thread evaluates. The first term goes to the thread after the one that has the last
-// term of the previous kind, so that all threads have a similar number of terms.
-DEVICE inline Terms terms_of_kind(GLOBAL const int* row, int kind, int count, int* before) {
-    const int first = row[FIRST_TERMS+2*kind], last = row[FIRST_TERMS+2*kind+1];
+// Return the terms of a kind that a thread evaluates, of those from `first` to `last` - 1 of a block. The first term goes to
+// the thread after the one that has the last term of the previous kind, so that all threads have a similar number of terms.
+DEVICE inline Terms terms_of_kind(int first, int last, int count, int* before) {
     const Terms terms = {first+(int) (LOCAL_ID+LOCAL_SIZE-*before)%(int) LOCAL_SIZE, last, count};
     *before = (*before+last-first)%(int) LOCAL_SIZE;
     return terms;
@@ -155,6 +153,55 @@ DEVICE inline void add_pairs(IN_BLOCK) {
         const EXACTS over = 1/DOT(u, u), ratio = NUMBER(1)*NUMBER(1)*over, s = ratio*ratio*ratio;
         const EXACTS f = (STRENGTH(0)*sqrt(over)+STRENGTH(2)*(48*s-24)*s)*over;
         ADD_TWO(a, f, u, b, -f, u)
+    }
+}
+
+// Custom forces: the energy is an expression of the distance, the angle or the torsion, with DERIVATIVE as its derivative.
+#define OF_CUSTOM int force, GLOBAL const int* customs, GLOBAL const double* values, GLOBAL const double* parameters
+
+DEVICE inline void add_custom_bonds(IN_BLOCK, OF_CUSTOM) {
+    EACH_TERM {
+        const Atoms a = ATOM(0), b = ATOM(1);
+        DIFFERENCE(u, a, b);
+        const EXACTS r = sqrt(DOT(u, u));
+        EXACTS f = -DERIVATIVE(bond, r)/r;
+        EACH(l, AT_ONCE)
+            if (LANE(r, l) == 0) // without a direction
+                LANE(f, l) = 0;
+        ADD_TWO(a, f, u, b, -f, u)
+    }
+}
+
+DEVICE inline void add_custom_angles(IN_BLOCK, OF_CUSTOM) {
+    EACH_TERM {
+        const Atoms a = ATOM(0), b = ATOM(1), c = ATOM(2);
+        DIFFERENCE(u, a, b);
+        DIFFERENCE(v, c, b);
+        CROSS(n, u, v);
+        const EXACTS cosine = DOT(u, v);
+        EXACTS sine = sqrt(DOT(n, n)), angle = sine;
+        EACH(l, AT_ONCE) {
+            LANE(angle, l) = atan2(LANE(sine, l), LANE(cosine, l));
+            LANE(sine, l) = fmax(LANE(sine, l), 1e-12);
+        }
+        const EXACTS f = -DERIVATIVE(angle, angle);
+        CROSS(p, u, n);
+        CROSS(q, n, v);
+        const EXACTS g = f/(sine*DOT(u, u)), h = f/(sine*DOT(v, v));
+        const EXACTS m0 = g*p0+h*q0, m1 = g*p1+h*q1, m2 = g*p2+h*q2;
+        ADD_THREE(a, g, p, c, h, q, b, -1, m)
+    }
+}
+
+DEVICE inline void add_custom_torsions(IN_BLOCK, OF_CUSTOM) {
+    EACH_TERM {
+        const Atoms i = ATOM(0), j = ATOM(1), k = ATOM(2), l = ATOM(3);
+        TORSION(i, j, k, l)
+        EXACTS angle = cosine;
+        EACH(m, AT_ONCE)
+            LANE(angle, m) = atan2(LANE(sine, m), LANE(cosine, m));
+        const EXACTS f = -DERIVATIVE(torsion, angle);
+        ADD_TORSION(i, j, k, l, f)
     }
 }
 

@@ -26,8 +26,9 @@
 // Whether a heat exchange supplies heat by friction and noise.
 #define RELAXES(k) (HEAT >= 0 && !SCALES && IS_EXCHANGE(k) && ((&TAU(k))[FADE] != 0.0 || (&TAU(k))[FADE_OF_FLEXIBLE] != 0.0))
 #define MOVES_CLUSTERS(op) (op == DRIFT || (GRADIENTS && (op == DISPLACE || op == DISPLACED_KICK)))
-#define OF_KIND(kind, all) terms_of_kind(row, kind, all, &before)
+#define OF_KIND(kind, all) terms_of_kind(row[FIRST_TERMS+2*kind], row[FIRST_TERMS+2*kind+1], all, &before)
 #define OF_BLOCK xs, sums, &broken, own
+#define OF_FORCE OF_BLOCK, terms, members+custom[FIRST_MEMBER], exact+custom[FIRST_OF_NUMBERS], force, customs, exact, parameters
 
 // Return the index of stored accelerations, of which `size` are stored in turn.
 DEVICE inline int stored(mm_long number, int size) {
@@ -131,7 +132,7 @@ KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL
         GLOBAL double* differences, GLOBAL double* here, GLOBAL number* push, GLOBAL number* seen, GLOBAL double* exchanged, GLOBAL double* heat,
         GLOBAL const int* atoms, GLOBAL const int* bodies, GLOBAL const double* inverse, GLOBAL const int* blocks, GLOBAL const int* block_atoms,
         GLOBAL const int* clusters, GLOBAL const double* lengths, GLOBAL const int* graphs, GLOBAL double* room, GLOBAL const int* members,
-        GLOBAL const fine* constants, GLOBAL const double* exact, GLOBAL const int* moves, GLOBAL const double* numbers, GLOBAL const double* factors,
+        GLOBAL const fine* constants, GLOBAL const double* exact, GLOBAL const int* customs, GLOBAL const double* parameters, GLOBAL const int* moves, GLOBAL const double* numbers, GLOBAL const double* factors,
         int first_move, int count, int what, mm_long step, double key, double turns, double hottest) {
     LOCAL_ARRAY(number, xs, 3*PLACES_OF_BLOCK);
     LOCAL_ARRAY(term_sum, sums, 3*OWN_OF_BLOCK);
@@ -166,6 +167,16 @@ KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL
                 add_pairs(OF_BLOCK, pairs, members+MEMBERS_OF_PAIRS, exact+NUMBERS_OF_PAIRS);
                 add_impropers(OF_BLOCK, impropers, members+MEMBERS_OF_IMPROPERS, constants+NUMBERS_OF_IMPROPERS);
                 add_maps(OF_BLOCK, maps, members+MEMBERS_OF_MAPS, exact, exact+PATCHES);
+                for (int force = 0; force < CUSTOMS; force++) {
+                    GLOBAL const int *custom = customs+CUSTOM_ROW*force, *first = customs+STARTS_OF_CUSTOMS+(BLOCKS+1)*force+block;
+                    const Terms terms = terms_of_kind(first[0], first[1], custom[TERMS_OF_CUSTOM], &before);
+                    if (custom[ATOMS_OF_TERM] == 2)
+                        add_custom_bonds(OF_FORCE);
+                    else if (custom[ATOMS_OF_TERM] == 3)
+                        add_custom_angles(OF_FORCE);
+                    else
+                        add_custom_torsions(OF_FORCE);
+                }
                 SYNC_THREADS
             }
             for (int i = LOCAL_ID; i < own; i += LOCAL_SIZE) {

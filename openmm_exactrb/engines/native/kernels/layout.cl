@@ -16,6 +16,12 @@ enum { AT_EXCHANGE, BEFORE_EXCHANGE, AFTER_EXCHANGE, BEFORE_EXCHANGES };
 enum { MOVES_ATOMS = 1, PLACES_ATOMS = 2, PROJECTS = 4, SHOWS_VELOCITIES = 8 };
 
 enum { FIRST_CLUSTER, CLUSTERS, FIRST_PLACE, PLACES, OWN, FIRST_TERMS, BLOCK_ROW = FIRST_TERMS+12 };
+typedef struct { int first, last, count; } Terms; // first term of a thread, end of its block, terms of all blocks
+// Columns of the table of custom forces, and of the steps that compute the derivatives of their energies: the kind of a
+// step, and up to three arguments. See openmm_exactrb.engines.native.flexible.expressions.
+enum { ATOMS_OF_TERM, TERMS_OF_CUSTOM, FIRST_MEMBER, FIRST_OF_NUMBERS, FIRST_STEP, STEPS, CUSTOM_ROW };
+enum { COORDINATE, NUMBER_OF_TERM, PARAMETER, CONSTANT, FIRST_OPERATION };
+enum { STEP_ROW = 4 };
 enum { FIRST_ATOM, ATOMS_OF_CLUSTER, GRAPH, ROOM, CLUSTER_ROW };
 // The numbers at the start of the table of a graph; see openmm_exactrb.engines.native.flexible.constraints.
 enum { CONSTRAINTS, ENTRIES, PRODUCTS, STRIDE, FIRST_LENGTH, GRAPH_HEAD };

@@ -8,6 +8,7 @@
 #define ADD_THREE(a, f, u, b, g, v, c, h, w) add({ON(a, f, u), ON(b, g, v), ON(c, h, w)}, sums);
 #define ADD_FOUR(a, f, u, b, g, v, c, h, w, d, i, x) add({ON(a, f, u), ON(b, g, v), ON(c, h, w), ON(d, i, x)}, sums);
 #define DISTANCE(a, b, e) (coordinates(xs, a, e)-coordinates(xs, b, e))
+#define DERIVATIVE(kind, v) derivative(force, v, t, terms, numbers, customs, values, parameters)
 
 namespace exactrb {
 namespace {
@@ -19,11 +20,13 @@ struct Flexible : Thread {
     int BLOCKS, HARMONICS, PLACES_OF_BLOCK, OWN_OF_BLOCK, PATCHES, GRAPHS, ALL_ATOMS, MEMORY, PER_STEP, DIFFERENCES, DIFFERENCES_PER_STEP;
     int KEEPS_DIFFERENCES, GRADIENTS, SCALES, HEAT;
     int BONDS, ANGLES, TORSIONS, PAIRS, IMPROPERS, MAPS;
+    int CUSTOMS, STARTS_OF_CUSTOMS, STEPS_OF_CUSTOMS;
     int MEMBERS_OF_BONDS, MEMBERS_OF_ANGLES, MEMBERS_OF_TORSIONS, MEMBERS_OF_PAIRS, MEMBERS_OF_IMPROPERS, MEMBERS_OF_MAPS;
     int NUMBERS_OF_BONDS, NUMBERS_OF_ANGLES, NUMBERS_OF_TORSIONS, NUMBERS_OF_PAIRS, NUMBERS_OF_IMPROPERS, NUMBERS_OF_MAPS;
     double STILL, LIGHT;
     explicit Flexible(const Constants& constants) {
 #define TAKE(name) name = integer(constants, #name);
+        TAKE(CUSTOMS) TAKE(STARTS_OF_CUSTOMS) TAKE(STEPS_OF_CUSTOMS)
         TAKE(BLOCKS) TAKE(HARMONICS) TAKE(PLACES_OF_BLOCK) TAKE(OWN_OF_BLOCK) TAKE(PATCHES) TAKE(GRAPHS)
         TAKE(ALL_ATOMS) TAKE(MEMORY) TAKE(PER_STEP) TAKE(DIFFERENCES) TAKE(DIFFERENCES_PER_STEP) TAKE(KEEPS_DIFFERENCES) TAKE(GRADIENTS) TAKE(SCALES) TAKE(HEAT)
 #define TAKE_KIND(name) TAKE(name) TAKE(MEMBERS_OF_##name) TAKE(NUMBERS_OF_##name)
@@ -83,6 +86,7 @@ struct Flexible : Thread {
             }
         }
     }
+#include "steps.h"
 #include "../kernels/bonded.cl"
 #include "../kernels/inner.cl"
 #include "../kernels/sums.cl"

@@ -5,6 +5,7 @@
 // Without a program, the integrator is a CustomIntegrator, and it keeps the global variables when it has a program.
 // Python starts the steps of a program after checking that the arrays agree with the Context (library.py). If C++ calls
 // `step`, the integrator calls Python. The lines of a program are described in program.py.
+#include "expressions.h"
 #include "machine.h"
 #include "openmm/Context.h"
 #include "openmm/CustomIntegrator.h"
@@ -158,12 +159,15 @@ private:
     void evaluate(int groups);
     void update(int calls, bool leaves);
     void takeBox();
+    void takeParameters();
     string program;
     vector<Source> sources;
     vector<Array> arrays;
     vector<Scalar> scalars;
     int numbers = 0;                // index of the array of persistent numbers
     vector<string> namesOfNumbers;  // global variables with the same values after each call
+    int parameters = 0;             // index of the array of parameters of the Context
+    vector<string> namesOfParameters;
     vector<Kernel> kernels;
     std::map<string, vector<Operation> > sequences;
 
@@ -199,7 +203,7 @@ void ProgramIntegrator::setProgram(const string& text) {
     if (machine)
         machine->release();
     forget();
-    program.clear(), sources.clear(), arrays.clear(), scalars.clear(), namesOfNumbers.clear(), kernels.clear(), sequences.clear();
+    program.clear(), sources.clear(), arrays.clear(), scalars.clear(), namesOfNumbers.clear(), namesOfParameters.clear(), kernels.clear(), sequences.clear();
     std::istringstream lines(text);
     string line, word, name;
     vector<Operation>* sequence = NULL;
@@ -224,6 +228,12 @@ void ProgramIntegrator::setProgram(const string& text) {
             numbers = indexOf(arrays, name, "array");
             while (words >> name)
                 namesOfNumbers.push_back(name);
+        }
+        else if (word == "parameters") {
+            words >> name;
+            parameters = indexOf(arrays, name, "array");
+            while (words >> name)
+                namesOfParameters.push_back(name);
         }
         else if (word == "source") {
             size_t bytes = 0;
@@ -353,6 +363,15 @@ void ProgramIntegrator::takeBox() {
         forcesStale = true;
 }
 
+// Write the parameters of the Context to their array if they have changed.
+void ProgramIntegrator::takeParameters() {
+    vector<double> now;
+    for (const string& name : namesOfParameters)
+        now.push_back(context->getParameter(name));
+    if (!now.empty() && memcmp(now.data(), arrays[parameters].data.data(), arrays[parameters].bytes()) != 0)
+        upload(arrays[parameters].name, now.data(), now.size()*sizeof(double));
+}
+
 // Launch a kernel. Its arguments are the names of arrays of OpenMM or of the program, a scalar $name, the step size $h,
 // the step count #step (long long), or an integer (int).
 void ProgramIntegrator::launch(int index) {
@@ -375,6 +394,7 @@ void ProgramIntegrator::evaluate(int groups) {
     machine->checkPlaces();
     context->calcForcesAndEnergy(true, false, groups & getIntegrationForceGroups());
     machine->takeForces();
+    takeParameters();
     forceGroups = getIntegrationForceGroups(), forcesStale = false;
     forceCalls++;
 }
@@ -443,6 +463,7 @@ void ProgramIntegrator::makeSteps(int steps) {
     requireMachine();
     Current current(*machine);
     takeBox();
+    takeParameters();
     stepBegan = machine->time();
     const int interval = (int) scalar("interval"), removal = (int) scalar("removal");
     const bool always = scalar("always") != 0;
@@ -496,6 +517,7 @@ void ProgramIntegrator::runAlone(const string& name) {
     requireMachine();
     Current current(*machine);
     takeBox();
+    takeParameters();
     stepBegan = machine->time();
     const string used = scalar("held") != 0 && sequences.count(name + "_held") ? name + "_held" : name;
     carryOut(sequence(used));
@@ -872,6 +894,18 @@ EXPORTED void pi_hooks(decltype(Hooks::bound) bound, decltype(Hooks::step) step,
 // State why a function of Python failed, and whether a signal has interrupted it.
 EXPORTED void pi_fail(const char* message, int interrupt) {
     lastError = message, interrupted = interrupt != 0;
+}
+// Return `derivative`, or NULL after an error.
+EXPORTED const char* pi_derivative(const char* energy, const char* variable) {
+    static thread_local string steps;
+    try {
+        steps = derivative(energy, variable);
+        return steps.c_str();
+    }
+    catch (std::exception& e) {
+        lastError = e.what();
+        return NULL;
+    }
 }
 EXPORTED void pi_hand(void* integrator) {
     handed = static_cast<Integrator*>(integrator);
