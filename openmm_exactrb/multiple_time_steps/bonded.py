@@ -27,8 +27,10 @@ BONDED_FORCES = (
 )
 #: Coulomb's constant in kJ nm/mol/e², from the physical constants that OpenMM uses.
 COULOMB = (1.602176634e-19) ** 2 * 6.02214076e23 * 1e6 / (4.0 * math.pi * 8.8541878128e-12)
-#: The formula of exceptions of a NonbondedForce.
-PAIR = f"{COULOMB!r}*charges/r + 4*epsilon*((sigma/r)^12 - (sigma/r)^6)"
+#: The formula of exceptions of a NonbondedForce, and the names of their numbers.
+PAIR, _OF_PAIR = f"{COULOMB!r}*charges/r + 4*epsilon*((sigma/r)^12 - (sigma/r)^6)", ("charges", "sigma", "epsilon")
+# Names of parameters that the formula of exceptions with offsets can contain.
+_USABLE = re.compile(r"(?!(charges|sigma|epsilon)\d*$|r$)[A-Za-z_]\w*", re.ASCII)
 #: The formula of pairs three bonds apart in OpenMM's CHARMM force fields, without blanks.
 LENNARD_JONES = re.compile(r"([\d.]+)\*epsilon\*\(\(sigma/r\)\^12-\(sigma/r\)\^6\)")
 # The integers of a term that are particles, for forces with further integers.
@@ -152,8 +154,10 @@ class BondedNumbers:
         before, self._numbers = self._numbers, self._read(system)
         return not all(map(np.array_equal, before, self._numbers))
 
-    def _read(self, system: openmm.System) -> list[Array]:
-        return [_terms(system.getForce(k))[1] for k in self._joining]
+    def _read(self, system: openmm.System) -> list[NDArray[Any]]:
+        forces = [system.getForce(k) for k in self._joining]
+        offsets = [parameters.exception_offsets(force) for force in forces if isinstance(force, openmm.NonbondedForce)]
+        return [*(_terms(force)[1] for force in forces), *(np.asarray(some) for of in offsets for some in of)]
 
 
 def _terms(force: Any) -> parameters.Rows:
@@ -172,24 +176,53 @@ def _joins(force: Any, owner: Indices) -> bool:
     return bool((bodies != bodies[:, :1]).any())
 
 
-def interacting_exceptions(force: openmm.NonbondedForce) -> Bonded:
-    """Return the interacting exceptions of a force, as bonds with the formula `PAIR` in the group of the force."""
-    whole, numbers = parameters.exceptions(force)
-    which = (numbers[:, 0] != 0.0) | (numbers[:, 2] != 0.0)
-    which &= force.getIncludeDirectSpace()  # otherwise OpenMM omits exceptions
-    return Bonded(_pair_force(force), whole[which], numbers[which])
+def interacting_exceptions(force: openmm.NonbondedForce) -> list[Bonded]:
+    """Return the interacting exceptions of a force as bonds in its group: those without and those with offsets.
+
+    Bonds have the formula `PAIR`. With offsets, the numbers in the formula depend on parameters of the Context. Offsets
+    by a parameter whose name no formula can contain are omitted.
+    """
+    if not force.getIncludeDirectSpace():  # OpenMM omits exceptions
+        return []
+    (whole, numbers), (names, place, scales) = parameters.exceptions(force), parameters.exception_offsets(force)
+    usable = np.array([bool(_USABLE.fullmatch(name)) for name in names], dtype=bool)
+    given = sorted({name for name, is_usable in zip(names, usable, strict=True) if is_usable})
+    offsets = np.zeros((len(given), len(whole), 3))
+    for name, exception, of in zip(np.array(names)[usable], place[usable], scales[usable], strict=True):
+        offsets[given.index(name), exception] += of
+    changing = np.asarray(offsets.any(axis=(0, 2)))
+    fixed = ~changing & ((numbers[:, 0] != 0.0) | (numbers[:, 2] != 0.0))
+    found = [Bonded(_pair_force(force, []), whole[fixed], numbers[fixed])]
+    if given:
+        every = np.concatenate([numbers, *offsets], axis=1)
+        found.append(Bonded(_pair_force(force, given), whole[changing], every[changing]))
+    return found
 
 
-def _pair_force(force: openmm.NonbondedForce) -> openmm.CustomBondForce:
-    """Return a force without terms, with the functional form and the group of the exceptions of a NonbondedForce."""
-    apart = openmm.CustomBondForce(PAIR)
-    for name in ("charges", "sigma", "epsilon"):
-        apart.addPerBondParameter(name)
+def _pair_force(force: openmm.NonbondedForce, offsets: Sequence[str]) -> openmm.CustomBondForce:
+    """Return a force without terms, with the functional form and the group of the exceptions of a NonbondedForce.
+
+    The numbers of a term are followed by their offsets for each of some parameters.
+    """
+    sums = [" + ".join([f"{own}0", *(f"{name}*{own}{i}" for i, name in enumerate(offsets, 1))]) for own in _OF_PAIR]
+    definitions = [f"; {own} = {value}" for own, value in zip(_OF_PAIR, sums, strict=True)]
+    apart = openmm.CustomBondForce(PAIR + ("".join(definitions) if offsets else ""))
+    for i in range(len(offsets) + 1):
+        for own in _OF_PAIR:
+            apart.addPerBondParameter(f"{own}{i}" if offsets else own)
+    for name in offsets:
+        apart.addGlobalParameter(name, _default(force, name))
     cut = force.getNonbondedMethod() != openmm.NonbondedForce.NoCutoff  # without a cutoff, OpenMM ignores the next flag
     apart.setUsesPeriodicBoundaryConditions(cut and force.getExceptionsUsePeriodicBoundaryConditions())
     apart.setName(f"exceptions of {force.getName()}")
     apart.setForceGroup(force.getForceGroup())
     return apart
+
+
+def _default(force: openmm.NonbondedForce, parameter: str) -> float:
+    """Return the default value of a parameter."""
+    names = [force.getGlobalParameterName(i) for i in range(force.getNumGlobalParameters())]
+    return float(force.getGlobalParameterDefaultValue(names.index(parameter)))
 
 
 def acting(system: openmm.System) -> list[Any]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -106,7 +107,7 @@ def bonded_excerpt(
     if not forces:
         return None
     every = [force for force in system.getForces() if groups is None and isinstance(force, openmm.NonbondedForce)]
-    forces += _acting(map(interacting_exceptions, every), owner, of_sites)
+    forces += _acting(chain.from_iterable(map(interacting_exceptions, every)), owner, of_sites)
     named = np.flatnonzero(np.bincount(np.concatenate([force.particles.ravel() for force in forces])))
     touched = np.union1d(named, np.array(with_parents(system, named[of_sites[named]].tolist()), dtype=np.intp))
     members = np.flatnonzero(np.append(bodies.touched(touched), False)[bodies.owner])  # -1: no body

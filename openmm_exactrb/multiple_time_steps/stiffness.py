@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import openmm
@@ -14,9 +14,10 @@ from openmm_exactrb.support.types import Array, Indices
 
 #: The frequency (1/ps) of the fastest motions by slow forces, the librations of water.
 LIBRATION = 112.0
-# Lengths (nm) at which the energy minimum of a bond is sought.
-_LENGTHS = np.linspace(0.05, 0.3, 251)
-_SPRINGS = openmm.HarmonicBondForce, openmm.HarmonicAngleForce, openmm.CustomBondForce
+# Lengths (nm) and angles at which the energy minimum of a bond or an angle is sought. Angles beyond pi, by which the
+# energies are symmetric, show a minimum there.
+_LENGTHS, _ANGLES = np.linspace(0.05, 0.3, 251), np.linspace(0.5, np.pi + 0.005, 266)
+_SPRINGS = openmm.HarmonicBondForce, openmm.HarmonicAngleForce, openmm.CustomBondForce, openmm.CustomAngleForce
 
 
 def fastest(
@@ -35,10 +36,11 @@ def frequencies(
     forces: Sequence[Bonded] | None = None,
     masses: Array | None = None,
 ) -> Iterator[tuple[Array, Indices]]:
-    """Estimate the frequencies of harmonic bonds and angles, and of bonds with formulas, in given force groups.
+    """Estimate the frequencies of harmonic bonds and angles, and of those with formulas, in given force groups.
 
     Each bond and angle is treated individually; constrained ones are ignored. A bond defined by a formula is included
-    if its energy has a minimum at the length of a chemical bond. By default, `forces` are the forces of the System, and
+    if its energy has a minimum at the length of a chemical bond, and an angle if its energy has a minimum. Parameters
+    of the Context have their default values. By default, `forces` are the forces of the System, and
     `masses` (n_particles,) its masses, with which virtual sites have no frequency; see `virtual_sites.masses`.
 
     Yields
@@ -64,10 +66,10 @@ def frequencies(
             square = strength * inverse[particles].sum(axis=1)
             yield np.sqrt(np.maximum(square, 0.0))[free], particles[free]
     for of in forces:
-        if isinstance(of.force, openmm.HarmonicAngleForce) and of.force.getForceGroup() in groups:
-            square = _of_angles(of, known, inverse)
-            free = ~constrained(of.particles[:, ::2]) & ~np.isnan(square)
-            yield np.sqrt(np.maximum(square[free], 0.0)), of.particles[free]
+        if of.force.getForceGroup() in groups and (angles := _angles(of)) is not None:
+            particles, square = angles[0], _squares(*angles, known, inverse)
+            free = ~constrained(particles[:, ::2]) & ~np.isnan(square)
+            yield np.sqrt(np.maximum(square[free], 0.0)), particles[free]
 
 
 class _Lengths:
@@ -92,10 +94,10 @@ class _Lengths:
         return ~np.isnan(self.of(pairs))
 
 
-def _of_angles(angles: Bonded, known: _Lengths, inverse: Array) -> Array:
+def _squares(particles: Indices, angle: Array, strength: Array, known: _Lengths, inverse: Array) -> Array:
     """Return the squared frequencies of angles, or nan if the length of a bond is unknown."""
-    (i, j, k), (angle, strength) = angles.particles.T, angles.numbers.T
-    a, b = (known.of(angles.particles[:, own]) for own in ([0, 1], [2, 1]))
+    i, j, k = particles.T
+    a, b = (known.of(particles[:, own]) for own in ([0, 1], [2, 1]))
     a, b = np.where(a == 0.0, np.nan, a), np.where(b == 0.0, np.nan, b)
     middle = 1.0 / a**2 + 1.0 / b**2 - 2.0 * np.cos(angle) / (a * b)
     return np.asarray(strength * (inverse[i] / a**2 + inverse[k] / b**2 + inverse[j] * middle))
@@ -108,35 +110,57 @@ def _bonds(bonds: Bonded) -> tuple[Indices, Array, Array] | None:
     # Pairs three bonds apart are not treated as bonds: their distances never reach the minima of their formulas.
     if isinstance(bonds.force, openmm.CustomBondForce):
         formula = bonds.force.getEnergyFunction()
-        if formula != PAIR and not LENNARD_JONES.fullmatch(formula.replace(" ", "")):
-            return _bonds_by_formula(bonds)
+        if not formula.startswith(PAIR) and not LENNARD_JONES.fullmatch(formula.replace(" ", "")):
+            return _by_formula(bonds, _LENGTHS, lambda r: ([[0.0] * 3, [r, 0.0, 0.0]], [1.0, 0.0, 0.0]))
     return None
 
 
-def _bonds_by_formula(bonds: Bonded) -> tuple[Indices, Array, Array] | None:
-    """Return the results of `_bonds` for bonds with a formula, from the zero of the force and its slope there."""
-    if not len(bonds.whole):
+def _angles(angles: Bonded) -> tuple[Indices, Array, Array] | None:
+    """Return the particles, angles and strengths (kJ/mol) of angles, or None for other forces."""
+    if isinstance(angles.force, openmm.HarmonicAngleForce):
+        return angles.particles, *angles.numbers.T
+    if isinstance(angles.force, openmm.CustomAngleForce):
+        return _by_formula(angles, _ANGLES, _angle)
+    return None
+
+
+def _angle(theta: float) -> tuple[list[list[float]], list[float]]:
+    """Return three places that form an angle, and the derivative of the last place."""
+    cosine, sine = np.cos(theta), np.sin(theta)
+    return [[1.0, 0.0, 0.0], [0.0] * 3, [cosine, sine, 0.0]], [-sine, cosine, 0.0]
+
+
+def _by_formula(
+    of: Bonded, coordinates: Array, places: Callable[[float], tuple[list[list[float]], list[float]]]
+) -> tuple[Indices, Array, Array] | None:
+    """Return the particles, the coordinates of the minimum and the second derivatives there, of terms with a formula.
+
+    The function places(coordinate) returns the places of the particles of a term, and the derivative of the last place.
+    Terms without a minimum are omitted.
+    """
+    if not len(of.whole):
         return None
-    forces = _at_lengths(bonds, _LENGTHS)  # attractive where positive
-    turns = (forces[:-1] <= 0.0) & (forces[1:] > 0.0)
-    slopes = np.diff(forces, axis=0) / np.diff(_LENGTHS)[:, None]
+    slopes = _slopes(of, coordinates, places)
+    turns = (slopes[:-1] <= 0.0) & (slopes[1:] > 0.0)
+    second = np.diff(slopes, axis=0) / np.diff(coordinates)[:, None]
     found = np.flatnonzero(turns.any(axis=0))
     place = turns.argmax(axis=0)[found]
-    return bonds.particles[found], _LENGTHS[place], slopes[place, found]
+    return of.particles[found], coordinates[place], second[place, found]
 
 
-def _at_lengths(bonds: Bonded, lengths: Array) -> Array:
-    """Return dV/dr (lengths, bonds) in kJ/mol/nm of all bonds of a force, each isolated from the others."""
-    n, system = len(bonds.whole), openmm.System()
-    alone = bonds._replace(whole=np.arange(2 * n).reshape(n, 2)).made()
+def _slopes(of: Bonded, coordinates: Array, places: Callable[[float], tuple[list[list[float]], list[float]]]) -> Array:
+    """Return dV/dq (coordinates, terms) of all terms of a force, each isolated from the others."""
+    (n, width), system = of.whole.shape, openmm.System()
+    alone = of._replace(whole=np.arange(width * n).reshape(n, width)).made()
     alone.setUsesPeriodicBoundaryConditions(False)
-    for _ in range(2 * n):
+    for _ in range(width * n):
         system.addParticle(1.0)
     system.addForce(alone)
     context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
-    x, found = np.zeros((n, 2, 3)), []
-    for length in lengths:
-        x[:, 1, 0] = length
-        context.setPositions(x.reshape(-1, 3))
-        found.append(-arrays.forces(context.getState(forces=True)).reshape(n, 2, 3)[:, 1, 0])
-    return np.nan_to_num(np.array(found))
+    found = []
+    for coordinate in coordinates.tolist():
+        x, direction = places(coordinate)
+        context.setPositions(np.tile(x, (n, 1)))
+        forces = arrays.forces(context.getState(forces=True)).reshape(n, width, 3)
+        found.append(-forces[:, -1] @ np.array(direction))
+    return np.asarray(np.nan_to_num(np.array(found)))

@@ -51,6 +51,13 @@ def exceptions(force: openmm.NonbondedForce) -> Rows:
     return _rows(force, "getExceptionParameters", force.getNumExceptions(), 2, 3)
 
 
+def exception_offsets(force: openmm.NonbondedForce) -> tuple[list[str], Indices, Array]:
+    """Return the offsets of exceptions: their parameters, the indices of their exceptions, and their scales (n, 3)."""
+    found = [force.getExceptionParameterOffset(i) for i in range(force.getNumExceptionParameterOffsets())]
+    places = np.array([exception for _, exception, *_ in found], dtype=np.int64)
+    return [name for name, *_ in found], places, np.array([scales for _, _, *scales in found]).reshape(-1, 3)
+
+
 def constraints(system: openmm.System) -> Rows:
     """Return the particles (n, 2) of constraints, and their lengths (n,) in nm."""
     particles, lengths = _rows(system, "getConstraintParameters", system.getNumConstraints(), 2, 1)

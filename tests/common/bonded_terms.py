@@ -44,7 +44,7 @@ def pairs(first=0):
     force = openmm.NonbondedForce()
     for i in range(first, first + N - 3):
         force.addException(i, i + 3, *RNG.uniform((-0.5, 0.2, 0.0), (0.5, 0.4, 2.0)))
-    return interacting_exceptions(force).made()
+    return interacting_exceptions(force)[0].made()
 
 
 def lennard_jones_pairs(first=0):

@@ -32,7 +32,7 @@ def peptide(constraints="HBonds", **options):
 def bonded_apart(system):
     """Give bonded forces, and exceptions of NonbondedForces as pairs by a formula, a force group; return it."""
     for force in [force for force in system.getForces() if isinstance(force, openmm.NonbondedForce)]:
-        pairs = interacting_exceptions(force).made()
+        pairs = interacting_exceptions(force)[0].made()
         if pairs.getNumBonds():
             for number in range(force.getNumExceptions()):
                 i, j, _, sigma, _ = force.getExceptionParameters(number)
