@@ -182,8 +182,6 @@ def interacting_exceptions(force: openmm.NonbondedForce) -> list[Bonded]:
     Bonds have the formula `PAIR`. With offsets, the numbers in the formula depend on parameters of the Context. Offsets
     by a parameter whose name no formula can contain are omitted.
     """
-    if not force.getIncludeDirectSpace():  # OpenMM omits exceptions
-        return []
     (whole, numbers), (names, place, scales) = parameters.exceptions(force), parameters.exception_offsets(force)
     usable = np.array([bool(_USABLE.fullmatch(name)) for name in names], dtype=bool)
     given = sorted({name for name, is_usable in zip(names, usable, strict=True) if is_usable})
@@ -192,6 +190,8 @@ def interacting_exceptions(force: openmm.NonbondedForce) -> list[Bonded]:
         offsets[given.index(name), exception] += of
     changing = np.asarray(offsets.any(axis=(0, 2)))
     fixed = ~changing & ((numbers[:, 0] != 0.0) | (numbers[:, 2] != 0.0))
+    if not force.getIncludeDirectSpace():  # OpenMM omits exceptions
+        fixed, changing = fixed & False, changing & False
     found = [Bonded(_pair_force(force, []), whole[fixed], numbers[fixed])]
     if given:
         every = np.concatenate([numbers, *offsets], axis=1)

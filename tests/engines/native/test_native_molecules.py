@@ -148,10 +148,11 @@ def test_a_checkpoint_continues_to_the_bit_whenever_it_is_loaded():
 
 
 def tether(i, j):
-    """Return a bonded force of a form that no kernel has."""
+    """Return a bonded force that no kernel has, because it is periodic."""
     force = openmm.CustomBondForce("pull*(r-0.3)^4")
     force.addGlobalParameter("pull", 1e3)
     force.addBond(i, j, [])
+    force.setUsesPeriodicBoundaryConditions(True)
     force.setName("tether")
     return force
 
@@ -161,7 +162,7 @@ def tether(i, j):
     [("S2_2", None, "HBonds", False), ("W2_1", None, "AllBonds", True), ("W2_3m", 5.0, "AllBonds", True)],
 )
 def test_fast_groups_without_a_kernel_are_openmms(scheme, friction, constraints, of_water):
-    """Of a form of its own, or on rigid bodies; its parameter changes in the run."""
+    """Of periodic forces, or on rigid bodies; their parameter changes in the run."""
     topology, system, x = in_water(constraints, 30)
     atoms = topology.getNumAtoms()
     system.addForce(tether(0, atoms - 3 if of_water else 9))
@@ -233,12 +234,6 @@ def test_periodic_bonded_forces_are_named_as_such(kind):
     assert apart(*contexts) < DOUBLE
 
 
-def test_what_is_not_served_is_named():
-    _, system, x = peptide()
-    system.addForce(tether(0, 9))
-    assert "no kernel for the fast force tether, which has global parameters: put" in refusal(system, x, fast="bonded")
-
-
 def test_a_hub_of_many_terms_is_refused_only_on_a_gpu():
     _, hub, x = peptide()
     (bonds,) = (force for force in hub.getForces() if isinstance(force, openmm.HarmonicBondForce))
@@ -246,7 +241,7 @@ def test_a_hub_of_many_terms_is_refused_only_on_a_gpu():
         bonds.addBond(0, 14, 0.5, 1.0)
     distance, device = moved((None, hub, x), nested("S2_2", 0.002))
     assert distance < DOUBLE
-    terms = device.getIntegrator()._propagator._served.molecules[0].terms  # noqa: SLF001
+    terms = device.getIntegrator()._propagator._served.molecules[0].particles_of_terms  # noqa: SLF001
     require_few_terms(terms, 418)
     with pytest.raises(NotServedError, match=r"particle 0 is in 418 bonded terms, .* supports at most 417 on a GPU"):
         require_few_terms(terms, 417)

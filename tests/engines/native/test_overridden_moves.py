@@ -101,6 +101,7 @@ def test_drifts_of_ones_own_have_no_inner_steps_that_openmm_evaluates():
     bonds = openmm.CustomBondForce("k*(r-0.12)^4")
     bonds.addGlobalParameter("k", 1e7)
     bonds.addBond(0, 1, [])
+    bonds.setUsesPeriodicBoundaryConditions(True)
     bonds.setForceGroup(1)
     system.addForce(bonds)
     slow = openmm.CustomBondForce("100*(r-0.2)^2")

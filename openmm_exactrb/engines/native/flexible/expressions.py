@@ -7,14 +7,13 @@ processors, kernels perform these steps; for devices, they are written as functi
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import openmm
 
 from openmm_exactrb.engines.library import library
 from openmm_exactrb.multiple_time_steps.bonded import Bonded
-from openmm_exactrb.support.messages import shown
 from openmm_exactrb.support.types import Array, Indices
 
 # The kinds of terms, and the variables in their energies.
@@ -53,7 +52,7 @@ class Custom(NamedTuple):
 
     @classmethod
     def of(cls, bonded: Bonded) -> Custom:
-        """Return the terms of a custom force that has no known form."""
+        """Return the terms of a custom force without periodic boundary conditions."""
         force, (kind, variable) = bonded.force, _KINDS[type(bonded.force)]
         count, name = (
             getattr(force, f"{what}Per{kind}Parameter{end}") for what, end in (("getNum", "s"), ("get", "Name"))
@@ -69,17 +68,6 @@ class Custom(NamedTuple):
     def parameters(self) -> set[str]:
         """The names of the parameters of the Context on which the forces depend."""
         return {step.split()[1] for step in self.steps if step.startswith("parameter ")}
-
-
-def without_kernel(force: Any) -> str | None:
-    """Return why a bonded force without a known form cannot be written as a `Custom`, or None."""
-    if force.usesPeriodicBoundaryConditions():
-        return "uses periodic boundary conditions"
-    try:
-        library().derivative(force.getEnergyFunction(), _KINDS[type(force)][1])
-    except openmm.OpenMMException:
-        return f"has functions of its own in its energy {shown(force.getEnergyFunction())}"
-    return None
 
 
 def names_of(customs: Iterable[Custom]) -> list[str]:

@@ -11,7 +11,7 @@ import openmm
 
 from openmm_exactrb.engines.native.flexible.blocks import Group
 from openmm_exactrb.engines.native.flexible.evaluated import Evaluated
-from openmm_exactrb.engines.native.flexible.expressions import Custom, without_kernel
+from openmm_exactrb.engines.native.flexible.expressions import Custom
 from openmm_exactrb.engines.native.flexible.inner import InnerSteps
 from openmm_exactrb.engines.native.flexible.tables import particles
 from openmm_exactrb.kernels.records import Terms
@@ -172,5 +172,5 @@ def _without_kernel(
         return f"the fast force {excerpt.on_sites[0].force.getName()} on virtual sites"
     if len(excerpt.part.turning):
         return f"fast forces on {bodies.name(int(excerpt.part.turning[0]))}, which is rigid"
-    found = ((of.force.getName(), without_kernel(of.force)) for of in excerpt.forces if not has_known_form(of.force))
-    return next((f"the fast force {name}, which {why}" for name, why in found if why), None)
+    periodic = (of.force.getName() for of in excerpt.forces if of.force.usesPeriodicBoundaryConditions())
+    return next((f"the fast force {name}, which uses periodic boundary conditions" for name in periodic), None)
