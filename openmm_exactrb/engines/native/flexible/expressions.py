@@ -43,12 +43,15 @@ class Custom(NamedTuple):
     steps : tuple of str
         The steps of the derivative of the energy, as in source/expressions.h, in which numbers, the parameters of the
         Context and the coordinate are called "number i", "parameter NAME" and "coordinate".
+    parameters : dict
+        The parameters of the Context on which the forces depend, with their default values.
     """
 
     kind: str
     particles: Indices
     numbers: Array
     steps: tuple[str, ...]
+    parameters: dict[str, float]
 
     @classmethod
     def of(cls, bonded: Bonded) -> Custom:
@@ -62,20 +65,20 @@ class Custom(NamedTuple):
         for step in library().derivative(force.getEnergyFunction(), variable):
             what, argument = step.split(" ", 1)
             steps.append(places.get(argument, f"parameter {argument}") if what == "variable" else step)
-        return cls(kind, bonded.particles, bonded.numbers.T, tuple(steps))
-
-    @property
-    def parameters(self) -> set[str]:
-        """The names of the parameters of the Context on which the forces depend."""
-        return {step.split()[1] for step in self.steps if step.startswith("parameter ")}
-
-
-def names_of(customs: Iterable[Custom]) -> list[str]:
-    """Return the names of the parameters of the Context on which forces depend, in the order of their array."""
-    return sorted(set[str]().union(*(custom.parameters for custom in customs)))
+        every = {
+            force.getGlobalParameterName(i): force.getGlobalParameterDefaultValue(i)
+            for i in range(force.getNumGlobalParameters())
+        }
+        used = {name: value for name, value in every.items() if f"parameter {name}" in steps}
+        return cls(kind, bonded.particles, bonded.numbers.T, tuple(steps), used)
 
 
-def rows(custom: Custom, names: Sequence[str], first_constant: int) -> tuple[Indices, Array]:
+def parameters_of(customs: Iterable[Custom]) -> dict[str, float]:
+    """Return the parameters of the Context on which forces depend, with default values, in the order of their array."""
+    return dict(sorted(item for custom in customs for item in custom.parameters.items()))
+
+
+def rows(custom: Custom, names: list[str], first_constant: int) -> tuple[Indices, Array]:
     """Return the steps (n, 4) for processors, and the constants in these steps, which begin at an index of an array."""
     constants, made = list[float](), []
     for step in custom.steps:
@@ -103,7 +106,7 @@ def pieces(customs: Sequence[Custom]) -> tuple[str, ...]:
 
 
 def _function(kind: str, customs: Sequence[Custom]) -> str:
-    names = names_of(customs)
+    names = list(parameters_of(customs))
     cases = (
         f"    case {i}: {{\n{_body(custom, names)}    }}\n"
         for i, custom in enumerate(customs)
@@ -131,5 +134,5 @@ def _value(step: str, names: Sequence[str]) -> str:
         return f"parameters[{names.index(arguments[0])}]"
     if what == "constant":
         value = float(arguments[0])
-        return repr(value) if np.isfinite(value) else f"({np.sign(value)}/0.0)"
+        return repr(value) if np.isfinite(value) else f"({np.nan_to_num(np.sign(value))}/0.0)"
     return f"of_{what}({', '.join(f's{i}' for i in arguments[1:])})"

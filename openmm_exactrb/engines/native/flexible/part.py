@@ -28,7 +28,8 @@ _MOVES, _PLACES, _PROJECTS, _SHOWS = 1, 2, 4, 8
 _CONTEXT = ("posq", "posqCorrection", "velm", "force", "places", "box")
 _FORCES = ("memory", "differences", "here", "push", "seen", "exchanged", "heat")
 _ATOMS = ("atoms", "bodies", "inverse")
-_TABLES = ("blocks", "block_atoms", "clusters", "lengths", "graphs", "room", "members", "constants", "exact", "customs")
+_TABLES_OF_CLUSTERS = ("blocks", "block_atoms", "clusters", "lengths", "graphs", "room")
+_TABLES_OF_TERMS = ("members", "constants", "exact", "customs", "parameters")
 
 
 class Flexible(NamedTuple):
@@ -55,7 +56,7 @@ class FlexiblePart:
         molecules, self._particles, precision = flexible
         self._molecules, self._demands, self._prefix = molecules, demands, prefix
         terms, customs = molecules.particles_of_terms, molecules.customs
-        self._parameters = expressions.names_of(customs)
+        self._parameters = list(expressions.parameters_of(customs))
         self.blocks = blocks_of(molecules.groups, terms, len(molecules.masses), divides=not demands.pairs)
         self._precision, self._masses, self._body_of = precision, molecules.masses, molecules.body_of
         self._of_clusters, of_clusters = constraints.arrays(self.blocks, shared=demands.pairs)
@@ -115,7 +116,6 @@ class FlexiblePart:
         to.array(f"{self._prefix}exchanged", 12 * self.n * demands.exchanges)
         to.array(f"{self._prefix}heat", self.n * demands.exchanges, saved=True)
         to.array(f"{self._prefix}kinetic", SUMS * GROUPS)
-        to.array(f"{self._prefix}parameters", len(self._parameters))
         if self._parameters:
             to.parameters = f"{self._prefix}parameters", self._parameters
 
@@ -159,7 +159,7 @@ class FlexiblePart:
         arguments: tuple[str | int, ...] = (
             *_CONTEXT,
             *state,
-            *self._named(*_FORCES, *_ATOMS, *_TABLES, "parameters"),
+            *self._named(*_FORCES, *_ATOMS, *_TABLES_OF_CLUSTERS, *_TABLES_OF_TERMS),
             *(Table.MOVES, Table.NUMBERS, "factors", *rows, what, "#step", "$key", "$turn", "$hottest"),
         )
         return Launch(self._source, "inner_steps", THREADS * len(self.blocks), arguments, THREADS)

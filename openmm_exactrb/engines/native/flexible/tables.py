@@ -139,12 +139,13 @@ def arrays(
         table += [first[:-1], first[1:]]
     constants["PATCHES"] = sum(map(len, exact))
     exact.append(terms.patches.ravel())
+    parameters = expressions.parameters_of(customs)
     heads, starts, steps = list[Any](), list[Any](), list[Any]()
     for custom, which in zip(customs, of_customs, strict=True):
         head = [custom.particles.shape[1], len(which.terms), sum(map(len, members)), sum(map(len, exact))]
         members.append(places(which, blocks, room).T.ravel())
         exact.append(custom.numbers[:, which.terms].ravel())
-        rows, values = expressions.rows(custom, expressions.names_of(customs), sum(map(len, exact)))
+        rows, values = expressions.rows(custom, list(parameters), sum(map(len, exact)))
         exact.append(values)
         heads += [*head, sum(map(len, steps)) // rows.shape[1], len(rows)]
         starts += np.searchsorted(which.block, np.arange(len(blocks) + 1)).tolist()
@@ -161,5 +162,6 @@ def arrays(
         "constants": np.concatenate(numbers).astype(precision),
         "exact": np.concatenate(exact),
         "customs": np.concatenate([np.array(heads + starts, dtype=int), *steps]).astype(np.int32),
+        "parameters": np.array([*parameters.values()], dtype=float),
     }
     return made, constants

@@ -363,13 +363,20 @@ void ProgramIntegrator::takeBox() {
         forcesStale = true;
 }
 
-// Write the parameters of the Context to their array if they have changed.
+// Write the parameters of the Context to their array if they have changed. Parameters of forces that were added to the System
+// later are not in the Context, and keep their values.
 void ProgramIntegrator::takeParameters() {
-    vector<double> now;
-    for (const string& name : namesOfParameters)
-        now.push_back(context->getParameter(name));
-    if (!now.empty() && memcmp(now.data(), arrays[parameters].data.data(), arrays[parameters].bytes()) != 0)
-        upload(arrays[parameters].name, now.data(), now.size()*sizeof(double));
+    if (namesOfParameters.empty())
+        return;
+    const Array& array = arrays[parameters];
+    vector<double> now(namesOfParameters.size());
+    memcpy(now.data(), array.data.data(), array.bytes());
+    for (size_t i = 0; i < now.size(); i++) {
+        auto found = context->getParameters().find(namesOfParameters[i]);
+        now[i] = found == context->getParameters().end() ? now[i] : found->second;
+    }
+    if (memcmp(now.data(), array.data.data(), array.bytes()) != 0)
+        upload(array.name, now.data(), array.bytes());
 }
 
 // Launch a kernel. Its arguments are the names of arrays of OpenMM or of the program, a scalar $name, the step size $h,
