@@ -125,7 +125,7 @@ def _angles(angles: Bonded) -> tuple[Indices, Array, Array] | None:
 
 
 def _angle(theta: float) -> tuple[list[list[float]], list[float]]:
-    """Return three places that form an angle, and the derivative of the last place."""
+    """Return three positions that form an angle, and the derivative of the last one."""
     cosine, sine = np.cos(theta), np.sin(theta)
     return [[1.0, 0.0, 0.0], [0.0] * 3, [cosine, sine, 0.0]], [-sine, cosine, 0.0]
 
@@ -135,7 +135,7 @@ def _by_formula(
 ) -> tuple[Indices, Array, Array] | None:
     """Return the particles, the coordinates of the minimum and the second derivatives there, of terms with a formula.
 
-    The function places(coordinate) returns the places of the particles of a term, and the derivative of the last place.
+    The function places(coordinate) returns positions of the particles of a term, and the derivative of the last one.
     Terms without a minimum are omitted.
     """
     if not len(of.whole):

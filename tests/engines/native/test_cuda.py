@@ -8,6 +8,7 @@ import pytest
 from zoo import every_kind, water
 
 import openmm_exactrb as rb
+from alchemical import alchemical
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.engines.native.assembly import Assembly
 from openmm_exactrb.schemes.catalogue import scheme_for_thermostat
@@ -35,15 +36,15 @@ def sources(scheme, thermostat, start):
     return dict.fromkeys(launch.source.text for launch in launches)
 
 
-def of_flexible(scheme, constraints, precision):
-    """Return the kernels of a peptide in water with inner steps."""
+def of_flexible(scheme, constraints, precision, changed=lambda system: system):
+    """Return the kernels of a peptide in water with inner steps, of a changed System."""
     _, system, x = in_water(constraints, 30)
     settings = {"scheme": scheme, "engine": "native", "fast": "bonded"}
     if scheme in rb.SCHEMES:
         integrator = rb.ExactRigidBodyIntegrator(0.002, **settings)
     else:
         integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 3.0, 0.002, **settings)
-    context = openmm.Context(system, integrator, device_platform(), {"Precision": precision})
+    context = openmm.Context(changed(system), integrator, device_platform(), {"Precision": precision})
     context.setPositions(x)
     integrator.step(0)
     launches = integrator._propagator._assembly.program.launches  # noqa: SLF001
@@ -79,3 +80,10 @@ def test_kernels_compile_for_cuda_and_spill_nothing(scheme, thermostat, start, p
 def test_inner_steps_compile_for_cuda_and_spill_nothing(scheme, constraints, precision, arch, tmp_path):
     cuda.installed("nvidia/cuda_nvcc/bin/ptxas")
     assert_none_spills(of_flexible(scheme, constraints, precision), arch, precision, tmp_path)
+
+
+@pytest.mark.opencl
+@BUILDS
+def test_custom_forces_compile_for_cuda_and_spill_nothing(precision, arch, tmp_path):
+    cuda.installed("nvidia/cuda_nvcc/bin/ptxas")
+    assert_none_spills(of_flexible("BAOA", "HBonds", precision, alchemical), arch, precision, tmp_path)

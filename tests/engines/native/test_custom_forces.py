@@ -1,4 +1,4 @@
-"""Custom bonds, angles and torsions in kernels have the forces of OpenMM, with the present parameters of the Context."""
+"""Custom bonds, angles and torsions in kernels have OpenMM's forces, with the present parameters of the Context."""
 
 import numpy as np
 import openmm
