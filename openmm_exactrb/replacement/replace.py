@@ -12,6 +12,7 @@ from typing import Any
 import openmm
 from openmm import app, unit
 
+from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.openmm_access import parameters
 from openmm_exactrb.openmm_access.units import not_negative, picoseconds
 from openmm_exactrb.replacement.clock import changes_of_simulation
@@ -155,7 +156,8 @@ def _entering(record: Replaced) -> Callable[..., None]:
             _check_hydrogens(system, record.interval, ours)
             record.enter(system, ours, alone=parts == [integrator])
             if not _called_by_modeller():
-                record.others.update(_name(type(part)) for part in parts if part not in ours)
+                others = [type(part) for part in parts if not isinstance(part, ExactRigidBodyIntegrator)]
+                record.others.update(map(_name, others))
         original(self, *arguments, **named)
 
     return constructor

@@ -202,6 +202,7 @@ def test_what_is_not_replaced_is_named():
             openmm.MTSIntegrator(0.001, [(0, 1)]),
             openmm.XmlSerializer.deserialize(xml),
             openmm.VerletIntegrator(0.0),
+            rb.ExactRigidBodyIntegrator(0.001),
             compound,
         ):
             openmm.Context(system, integrator, REFERENCE)
