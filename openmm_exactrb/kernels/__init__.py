@@ -1,4 +1,4 @@
-"""Inner loops, which numba compiles when they are first loaded or called; `plain` has the exact rotation in numpy."""
+"""Inner loops, which numba compiles when they are first loaded or called; `plain` contains the same loops in numpy."""
 
 from __future__ import annotations
 

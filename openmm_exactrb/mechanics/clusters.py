@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from openmm_exactrb import kernels
+from openmm_exactrb.kernels.plain.clusters import factor
 from openmm_exactrb.kernels.records import Graph
-from openmm_exactrb.mechanics.elimination import eliminated, factor
+from openmm_exactrb.mechanics.elimination import eliminated
 from openmm_exactrb.support.messages import listed
 from openmm_exactrb.support.types import Array, Indices
 

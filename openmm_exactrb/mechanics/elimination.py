@@ -1,4 +1,4 @@
-"""The sparse Cholesky factor of the matrix of constraints: its pattern, found once for each kind, and its entries."""
+"""The pattern of the sparse Cholesky factor of the matrix of constraints, found once for each kind of cluster."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from openmm_exactrb.kernels.records import Graph
-from openmm_exactrb.support.types import Array, Indices
+from openmm_exactrb.support.types import Indices
 
 
 def eliminated(coupled: Sequence[set[int]]) -> tuple[Indices, Indices, Indices, Indices, Indices, Indices]:
@@ -66,16 +65,3 @@ def _minimum_degree(coupled: Sequence[set[int]]) -> tuple[list[int], list[set[in
             heapq.heappush(waiting, (len(neighbours[c]), c))
         order.append(chosen)
     return order, [left_of[c] for c in order]
-
-
-def factor(graph: Graph, r: Array) -> list[Array]:
-    """Return the entries (N,) of the Cholesky factors of A for vectors r (3, m, N), with inverted diagonal entries."""
-    A: list[Array] = []
-    for c in range(len(graph.pairs)):
-        for e in range(graph.rows[c], graph.rows[c + 1]):
-            d = graph.columns[e]
-            entry = graph.weights[e] * np.einsum("in,in->n", r[:, c], r[:, d])
-            for k in range(graph.starts[e], graph.starts[e + 1]):
-                entry = entry - A[graph.left[k]] * A[graph.right[k]]
-            A.append(1.0 / np.sqrt(entry) if d == c else entry * A[graph.rows[d + 1] - 1])
-    return A

@@ -1,11 +1,10 @@
 """Kernels in numpy and compiled: the same functions with the same results."""
 
 import numpy as np
-import plain_bodies
 import pytest
 
 from openmm_exactrb import kernels
-from openmm_exactrb.kernels.plain import exact
+from openmm_exactrb.kernels.plain import bodies, exact, random
 from openmm_exactrb.kernels.records import Particles
 from openmm_exactrb.mathematics import quaternions
 from openmm_exactrb.mathematics.compensated import exactly
@@ -47,8 +46,13 @@ def of_exact(rng):
     return {"advance": cases}
 
 
-INPUTS = {"bodies": of_bodies, "exact": of_exact}
-IN_NUMPY = {"bodies": plain_bodies, "exact": exact}
+def of_random(rng):
+    instants = [(*rng.integers(-(2**63), 2**63, 2), int(rng.integers(2**40)), block) for block in (0, 1, 7)]
+    return {"uniforms": [(*map(int, instant), np.empty((4, n))) for instant in instants for n in (0, 1, N)]}
+
+
+INPUTS = {"bodies": of_bodies, "exact": of_exact, "random": of_random}
+IN_NUMPY = {"bodies": bodies, "exact": exact, "random": random}
 #: Differences of the results allowed, relative to their size; what is not named agrees to the bit.
 TOLERANCES = {"bodies.place": 2e-15, "bodies.move": 2e-15, "bodies.collect": 2e-15, "exact.advance": 3e-14}
 

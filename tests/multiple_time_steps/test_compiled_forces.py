@@ -1,4 +1,4 @@
-"""Compiled bonds, angles, torsions and pairs have the forces of OpenMM's Reference platform."""
+"""Bonds, angles, torsions and pairs, compiled and in numpy, have the forces of OpenMM's Reference platform."""
 
 import numpy as np
 import openmm
@@ -18,39 +18,46 @@ from bonded_terms import (
     terms_in,
 )
 from openmm_exactrb import kernels
+from openmm_exactrb.kernels.plain import bonded
 from openmm_exactrb.multiple_time_steps.bonded import interacting_exceptions
 from openmm_exactrb.multiple_time_steps.compiled_forces import has_known_form
 from starts import context_of
 
 
-def both(system, x, groups=-1):
-    """Return the forces of the kernel and those of OpenMM."""
+@pytest.fixture(params=["compiled", "numpy"])
+def forces(request):
+    """Return the function of the kernels that writes forces."""
+    return (kernels.load("bonded") if request.param == "compiled" else bonded).forces
+
+
+def both(forces, system, x, groups=-1):
+    """Return the forces of a kernel and those of OpenMM."""
     out = np.empty_like(x)
-    kernels.load("bonded").forces(x, terms_in(system, groups), out)
+    forces(x, terms_in(system, groups), out)
     context = context_of(system, openmm.VerletIntegrator(0.001), x)
     return out, context.getState(forces=True, groups=groups).getForces(asNumpy=True)._value
 
 
 @pytest.mark.parametrize("make", FORMS)
-def test_each_form_is_openmms(make):
+def test_each_form_is_openmms(make, forces):
     system = system_of(make())
     for _ in range(20):
-        ours, theirs = both(system, RNG.normal(size=(N, 3)))
+        ours, theirs = both(forces, system, RNG.normal(size=(N, 3)))
         np.testing.assert_allclose(ours, theirs, rtol=1e-12, atol=1e-13 * abs(theirs).max())
 
 
-def test_forces_of_some_groups_add_up():
-    forces = [bonds(), angles(), periodic_torsions(), polynomial_torsions(), pairs()]
-    for group, force in enumerate(forces):
+def test_forces_of_some_groups_add_up(forces):
+    some = [bonds(), angles(), periodic_torsions(), polynomial_torsions(), pairs()]
+    for group, force in enumerate(some):
         force.setForceGroup(group)
-    system, x = system_of(*forces), RNG.normal(size=(N, 3))
+    system, x = system_of(*some), RNG.normal(size=(N, 3))
     for groups in (0b00001, 0b01010, 0b11111):
-        ours, theirs = both(system, x, groups)
+        ours, theirs = both(forces, system, x, groups)
         np.testing.assert_allclose(ours, theirs, atol=1e-13 * abs(theirs).max())
 
 
 @pytest.mark.parametrize("angle", [1e-7, 1e-4, np.pi - 1e-4, np.pi - 1e-7])
-def test_almost_straight_angles_and_flat_torsions_keep_their_digits(angle):
+def test_almost_straight_angles_and_flat_torsions_keep_their_digits(angle, forces):
     force = openmm.HarmonicAngleForce()
     force.addAngle(0, 1, 2, 1.9, 500.0)
     torsion = openmm.PeriodicTorsionForce()
@@ -59,7 +66,7 @@ def test_almost_straight_angles_and_flat_torsions_keep_their_digits(angle):
     x[:3] = [0.1, 0.0, 0.0], [0.0, 0.0, 0.0], [0.12 * np.cos(angle), 0.12 * np.sin(angle), 0.0]
     x[3:7] = [0.1, 0.1, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.15], [0.1 * np.cos(angle), 0.1 * np.sin(angle), 0.25]
     out = np.empty_like(x)
-    kernels.load("bonded").forces(x, terms_in(system_of(force, torsion), -1), out)
+    forces(x, terms_in(system_of(force, torsion), -1), out)
     a = abs(out[0])
     assert a[1] == pytest.approx(500.0 * abs(angle - 1.9) / 0.1, rel=1e-8)  # along the arc, strength times the rest
     turn = np.array([0.1, 0.1, 0.0])
@@ -68,18 +75,18 @@ def test_almost_straight_angles_and_flat_torsions_keep_their_digits(angle):
     assert np.linalg.norm(out[3]) == pytest.approx(abs(20.0 * np.sin(2.0 * phi - 0.3)) / arm, rel=1e-8)
 
 
-def test_two_forces_with_maps_have_their_own():
+def test_two_forces_with_maps_have_their_own(forces):
     system, x = system_of(maps(), maps()), RNG.normal(size=(N, 3))
-    ours, theirs = both(system, x)
+    ours, theirs = both(forces, system, x)
     np.testing.assert_allclose(ours, theirs, atol=1e-13 * abs(theirs).max())
 
 
 @pytest.mark.parametrize("make", FORMS)
-def test_positions_that_are_not_finite_have_such_forces(make):
+def test_positions_that_are_not_finite_have_such_forces(make, forces):
     x = RNG.normal(size=(N, 3))
     x[4] = np.nan
     out = np.empty_like(x)
-    kernels.load("bonded").forces(x, terms_in(system_of(make()), -1), out)
+    forces(x, terms_in(system_of(make()), -1), out)
     assert np.isnan(out[4]).all()
 
 

@@ -1,37 +1,72 @@
-"""The free flow of constrained clusters in numpy: the reference of `openmm_exactrb.kernels.compiled.clusters`.
+"""The free flow of clusters with distance constraints, and the projection of their momenta, in numpy.
 
-Formulas and arguments are explained there. Arrays of clusters are component-first, (3, atoms or constraints, clusters).
+With r_c = x_i - x_j for each constraint c = (i, j), and s_ca = 1 for a = i, -1 for a = j and 0 otherwise,
+
+    x_a'' = sum_c s_ca F_c / m_a,  F_c = lambda_c r_c,  r_c'' = sum_d B_cd F_d,  B_cd = sum_a s_ca s_da / m_a.
+
+These equations are closed in the r_c. With the time of the drift as the unit of time, and w = (k + 1)(k + 2), their
+power series is:
+
+    r_c,k+2 = sum_d B_cd F_d,k / w,   F_c,k = lambda_c,k r_c,0 + sum_(j < k) lambda_c,j r_c,k-j.
+
+The multipliers follow from r_c.r_c = d_c², order by order, with the same matrix A_cd = B_cd r_c,0.r_d,0 for all orders:
+
+    sum_d A_cd lambda_d,k = -w q_c - r_c,0 . sum_d B_cd sum_(j < k) lambda_d,j r_d,k-j,
+    q_c = sum_(0 < j < k + 2) r_c,j . r_c,k+2-j / 2.
+
+A is factorised once per drift. The same factor serves to correct the rounding errors (d_c² - r_c.r_c)/2 of the initial
+positions and r_c.r_c' of the initial momenta. A drift therefore starts with the projection of the momenta, and kicks
+need not project them.
+
+Arrays of clusters are component-first, (3, atoms or constraints, clusters).
 """
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from openmm_exactrb.kernels.compiled.clusters import HALVINGS, ORDERS, SETTLED
 from openmm_exactrb.kernels.records import Graph
-from openmm_exactrb.mathematics.compensated import add
+from openmm_exactrb.mathematics.compensated import add, two_difference
 from openmm_exactrb.mathematics.quaternions import TO_GRID
-from openmm_exactrb.mechanics.clusters import Clusters
-from openmm_exactrb.mechanics.elimination import factor
 from openmm_exactrb.support.types import Array
 
-
-class ReferenceClusters(Clusters):
-    """Clusters that move in numpy."""
-
-    def __init__(self, kinds):
-        super().__init__(kinds)
-        self._advance = advance
+#: The largest number of orders of the multipliers in a drift; a step that needs more orders is halved.
+ORDERS = 30
+#: A series ends when two successive terms are below this fraction of its first term.
+SETTLED = 1e-16
+#: The largest number of times that a step is halved; the results of a cluster that needs more halvings are nan.
+HALVINGS = 12
 
 
 def advance(
-    x: Array, p: Array, t: float, moves: bool, first: int, count: int, graph: Graph, x1: Array, p1: Array
+    x: Array, p: Array, t: float, moves: int, first: int, count: int, graph: Graph, x1: Array, p1: Array
 ) -> None:
-    """Write where the clusters of a kind are after the time t, and their momenta."""
+    """Write the positions and momenta of the clusters of a kind after the time t.
+
+    A cluster's results are nan if one of its numbers is not finite, its positions are singular, or it moves too fast.
+
+    The kind has `count` clusters from column `first` on; atom a of cluster i is column first + a count + i. Unless the
+    kind `moves`, the momenta are only projected, so that r_c.r_c' = 0. States are double-doubles (2, 3, M), or plain
+    numbers (1, 3, M). The results x1 and p1 may overwrite x and p.
+    """
     X, P = _of_kind(x, first, count, graph), _of_kind(p, first, count, graph)
     with np.errstate(all="ignore"):  # what is not finite stays in its own cluster
         X, P = _moved(graph, X, P, t, HALVINGS) if moves else (X, _projected(graph, X, P))
     _of_kind(x1, first, count, graph)[:], _of_kind(p1, first, count, graph)[:] = X, P
+
+
+def factor(graph: Graph, r: Array) -> list[Array]:
+    """Return the entries (N,) of the Cholesky factors of A for vectors r (3, m, N), with inverted diagonal entries."""
+    A: list[Array] = []
+    for c in range(len(graph.pairs)):
+        for e in range(graph.rows[c], graph.rows[c + 1]):
+            d = graph.columns[e]
+            entry = graph.weights[e] * np.einsum("in,in->n", r[:, c], r[:, d])
+            for k in range(graph.starts[e], graph.starts[e + 1]):
+                entry = entry - A[graph.left[k]] * A[graph.right[k]]
+            A.append(1.0 / np.sqrt(entry) if d == c else entry * A[graph.rows[d + 1] - 1])
+    return A
 
 
 def _projected(graph: Graph, x: Array, p: Array) -> Array:
@@ -61,7 +96,7 @@ def _moved(graph: Graph, x: Array, p: Array, t: float, halvings: int) -> tuple[A
     return x1, p1
 
 
-def _change(graph: Graph, x: Array, p: Array, t: float) -> tuple[Array, Array, np.ndarray]:
+def _change(graph: Graph, x: Array, p: Array, t: float) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Return the changes of places and momenta (3, n, N) in the time t, and for which clusters they hold."""
     inverse = graph.inverse[:, None]
     r0, defect = _vectors(graph, x)
@@ -82,9 +117,8 @@ def _change(graph: Graph, x: Array, p: Array, t: float) -> tuple[Array, Array, n
         multipliers.append(_solve(graph, A, -w * q - _dot(r0, _response(graph, F))))
         F += multipliers[k] * r0
         r.append(_response(graph, F) / w)
-        # A series that has settled goes on with the others; its terms are below a rounding.
-        push += by_time / (k + 1) * F
-        shift += F / w
+        push += np.where(settled, 0.0, by_time / (k + 1) * F)  # a series that has settled does not depend on others
+        shift += np.where(settled, 0.0, F / w)
         small[k + 1] = ~((k + 2) * np.abs(r[k + 2]).max(axis=(0, 1)) > bound)  # so that nan is settled
         settled = settled | (small[k] & small[k + 1])
         if settled.all():
@@ -113,10 +147,7 @@ def _vectors(graph: Graph, x: Array) -> tuple[Array, Array]:
     Squares of numbers on a grid of 26 bits are exact, and so is their sum.
     """
     i, j = graph.pairs.T
-    a, b = x[0][:, i], x[0][:, j]
-    high = a - b
-    shadow = high - a
-    low = (a - (high - shadow)) - (b + shadow)  # Knuth's TwoSum
+    high, low = two_difference(x[0][:, i], x[0][:, j])
     if len(x) == 2:
         low += x[1][:, i] - x[1][:, j]
     r = high + low

@@ -1,15 +1,13 @@
-"""Rigid bodies in numpy: the reference of the compiled kernels."""
+"""Rigid bodies: positions and velocities of particles, and sums of forces and torques, in numpy."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from openmm_exactrb.kernels.records import Particles
 from openmm_exactrb.mathematics.compensated import add
 from openmm_exactrb.mathematics.quaternions import matrix
-
-Array = NDArray[np.float64]
+from openmm_exactrb.support.types import Array, Indices
 
 
 def place(R: Array, q: Array, particles: Particles, x: Array) -> None:
@@ -41,7 +39,7 @@ def advance(x: Array, rate: Array, t: float, total: Array) -> None:
     total[...] = add(x, t * rate)
 
 
-def _attitudes(q: Array, particles: Particles) -> tuple[NDArray[np.intp], Array]:
+def _attitudes(q: Array, particles: Particles) -> tuple[Indices, Array]:
     """Return the body of each particle, and its rotation matrix (n, 3, 3), which is zero where it does not turn."""
     owner = np.repeat(np.arange(len(particles.starts) - 1), np.diff(particles.starts))
     Q = np.zeros((len(particles.starts) - 1, 3, 3))
