@@ -8,6 +8,7 @@ from processes_of_command import launch
 
 from openmm_exactrb.command.main import main
 from openmm_exactrb.support.lock import only_process
+from places import errors_of
 
 # Status of a command after Ctrl-C. A shell shows 130 for both: CPython ends itself by the signal if it came in exec.
 STOPPED = 130, -signal.SIGINT
@@ -94,13 +95,13 @@ def test_ctrl_c_in_the_equilibration_is_one_line(run, tmp_path, heard, capsys):
     said, errors = process.communicate()
     assert process.returncode in STOPPED
     assert said == ""
-    assert errors == "exactrb run: SIGINT: stopped; to resume the run, repeat the command with --resume\n"
+    assert errors_of(errors) == "exactrb run: SIGINT: stopped; to resume the run, repeat the command with --resume\n"
     assert carry_out(capsys, *run, *BRIEF, "--resume")[0] == 0
 
 
 def test_ctrl_c_in_a_tuning_is_one_line(serialised, heard):
     process = launch("tune", *serialised, "--platform", "Reference", "--horizon", "1000")
-    told = process.stderr.readline()
+    told = next(line for line in process.stderr if errors_of(line))
     process.send_signal(signal.SIGINT)
     said, errors = process.communicate()
     assert process.returncode in STOPPED

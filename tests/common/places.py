@@ -6,7 +6,7 @@ from functools import cache
 import openmm
 import pytest
 
-from openmm_exactrb.engines.library import library
+from openmm_exactrb.engines.library import SLOWER, library
 from openmm_exactrb.errors import MissingLibraryError
 from openmm_exactrb.openmm_access.platforms import DEVICES, platforms
 
@@ -51,6 +51,11 @@ def missing_library():
     except MissingLibraryError as error:
         return str(error)
     return None
+
+
+def errors_of(stderr):
+    """Return what a process wrote to stderr, without the line that says what a missing library means."""
+    return stderr.replace(f"{SLOWER % missing_library()}\n", "")
 
 
 def platform_for(engine, precision="double"):

@@ -6,6 +6,7 @@ import openmm
 from openmm import app
 
 import openmm_exactrb as rb
+from places import errors_of
 from starts import simulation_of
 
 #: Of the droplet in another process: reports do not fall on the chunks of ten steps.
@@ -75,7 +76,7 @@ def check_joined(folder, whole, end=STEPS):
 
 def one_line(errors):
     """Check that errors are one line, beside the progress that a slow machine has time to show."""
-    lines = [line for line in errors.splitlines() if line and not line.endswith("step/s]")]
+    lines = [line for line in errors_of(errors).splitlines() if line and not line.endswith("step/s]")]
     assert len(lines) == 1, errors
     assert "Traceback" not in errors
     assert "Exception ignored" not in errors
