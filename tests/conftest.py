@@ -7,7 +7,7 @@ from hypothesis import settings
 
 import compilation
 import openmm_exactrb as rb
-import places
+from openmm_exactrb.engines.library import missing
 from openmm_exactrb.mathematics import quaternions
 
 # The same examples every time: whether a change passes is no matter of luck.
@@ -39,8 +39,8 @@ def pytest_collection_modifyitems(config, items):
 
 
 def pytest_runtest_setup(item):
-    if item.get_closest_marker("library") and (missing := places.missing_library()):
-        pytest.skip(missing)
+    if item.get_closest_marker("library") and (why := missing()):
+        pytest.skip(why)
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -48,7 +48,7 @@ def pytest_runtest_makereport(call):
     """Skip a test that asks for engine="native" where there is no library, so that the package refuses."""
     error = call.excinfo and call.excinfo.value
     while error is not None:
-        if isinstance(error, ValueError) and str(error) == f"{places.missing_library()}: use engine='host' instead":
+        if isinstance(error, ValueError) and str(error) == f"{missing()}: use engine='host' instead":
             skipped = pytest.skip.Exception(str(error)).with_traceback(error.__traceback__)
             call.excinfo = pytest.ExceptionInfo.from_exception(skipped)
             return

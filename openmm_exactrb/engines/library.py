@@ -287,6 +287,12 @@ def library() -> Library:
     return found
 
 
+def missing() -> str | None:
+    """Return why there is no library, or None."""
+    found = _loaded()
+    return found if isinstance(found, str) else None
+
+
 @cache
 def _loaded() -> Library | str:
     """Return the library, or the reason why it is not available; this is found out once in a process."""

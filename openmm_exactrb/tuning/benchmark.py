@@ -15,6 +15,7 @@ import openmm
 from numpy.typing import NDArray
 
 from openmm_exactrb.context.timings import Timings
+from openmm_exactrb.engines.library import missing
 from openmm_exactrb.errors import IntegrationError
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.schemes import CATALOGUE, Scheme
@@ -91,7 +92,8 @@ class Method:
         if self.scheme is None:
             return 1.0
         shown = self.scheme.with_inner_steps if self.nested else self.scheme
-        return self.scheme.forces + max(shown.output_forces, int(self.scheme.sequence[0][0].kicks)) / _CALL
+        looks = bool(self.scheme.processor) and missing() is not None  # whether a call looks for changes of the forces
+        return self.scheme.forces + max(shown.output_forces + looks, int(self.scheme.sequence[0][0].kicks)) / _CALL
 
 
 def schemes_named(names: str | Scheme | Sequence[str | Scheme]) -> list[Scheme]:

@@ -6,8 +6,7 @@ from functools import cache
 import openmm
 import pytest
 
-from openmm_exactrb.engines.library import SLOWER, library
-from openmm_exactrb.errors import MissingLibraryError
+from openmm_exactrb.engines.library import SLOWER, missing
 from openmm_exactrb.openmm_access.platforms import DEVICES, platforms
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
@@ -43,19 +42,9 @@ def _first(names):
     return None, "; ".join(missing)
 
 
-@cache
-def missing_library():
-    """Return why there is no library of the package, without which engine="native" is refused, or None."""
-    try:
-        library()
-    except MissingLibraryError as error:
-        return str(error)
-    return None
-
-
 def errors_of(stderr):
     """Return what a process wrote to stderr, without the line that says what a missing library means."""
-    return stderr.replace(f"{SLOWER % missing_library()}\n", "")
+    return stderr.replace(f"{SLOWER % missing()}\n", "")
 
 
 def platform_for(engine, precision="double"):

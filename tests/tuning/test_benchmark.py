@@ -64,7 +64,9 @@ def test_a_scheme_that_cannot_be_run_is_not_called_unstable(droplet):
 
 
 @pytest.mark.opencl
-@pytest.mark.parametrize(("reason", "engine"), [(None, "native"), ("a CPU", "host")])
+@pytest.mark.parametrize(
+    ("reason", "engine"), [pytest.param(None, "native", marks=pytest.mark.library), ("a CPU", "host")]
+)
 def test_what_is_timed_is_what_a_choice_will_run(droplet, monkeypatch, reason, engine):
     device_platform(["OpenCL"])
     monkeypatch.setattr(platforms, "no_gpu", lambda context: reason)
