@@ -123,6 +123,7 @@ def test_an_integrator_moves_as_ours_of_the_default_scheme_does():
     np.testing.assert_array_equal(*ends)
 
 
+@pytest.mark.library
 @pytest.mark.parametrize("kind", CLASSES)
 def test_a_step_is_a_force_evaluation_as_measured(kind):
     with silent() as replaced:
@@ -264,6 +265,7 @@ def test_an_interval_is_the_step_of_all_integrators_and_the_first_line_says_how_
     assert integrator.getStepSize() == 1 * FS
 
 
+@pytest.mark.library
 def test_steps_of_a_compound_are_counted():
     _, system, x = rb.rigid_water(8)
     with silent(interval=4 * FS) as replaced:

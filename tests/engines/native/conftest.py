@@ -1,8 +1,15 @@
 import locale
+from pathlib import Path
 
 import pytest
 
 from places import REFERENCE, device_platform
+
+
+def pytest_collection_modifyitems(items):
+    for item in items:
+        if Path(__file__).parent in item.path.parents:
+            item.add_marker("library")
 
 
 @pytest.fixture(autouse=True)

@@ -18,7 +18,7 @@ from openmm_exactrb.moves import Move, Op
 from places import device_platform
 from starts import context_of
 
-pytestmark = [pytest.mark.opencl, pytest.mark.library]
+pytestmark = pytest.mark.opencl
 RNG = np.random.default_rng(11)
 
 

@@ -88,7 +88,7 @@ def test_names_tell_texts_compilers_and_versions_apart(cache, tmp_path, monkeypa
     assert len(set(names)) == len(names) > len(compilation.SOURCES) + len(compilation.INCLUDED)
 
 
-@pytest.mark.library
+@needs_compiler
 def test_without_a_program_it_is_a_custom_integrator():
     integrator = library().make()
     assert type(integrator) is openmm.CustomIntegrator
@@ -118,7 +118,6 @@ print(integrator.getEngine())
 
 
 @pytest.mark.opencl
-@pytest.mark.library
 @pytest.mark.skipif(sys.platform != "linux", reason="a static C++ library is usual nowhere else")
 def test_a_compiler_with_a_static_c_library_makes_a_library_that_runs(cache, tmp_path):
     device_platform()
@@ -131,7 +130,7 @@ def test_a_compiler_with_a_static_c_library_makes_a_library_that_runs(cache, tmp
     assert done.stdout.endswith("native\n"), done.stderr  # OpenMM warns about PoCL before
 
 
-@pytest.mark.library
+@needs_compiler
 def test_lines_that_are_no_program_are_refused_with_a_sentence():
     integrator = library().make()
     device = Machine(library(), integrator)  # which does not keep the integrator alive

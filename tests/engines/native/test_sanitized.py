@@ -29,7 +29,6 @@ def preloaded():
     return paths if all(map(os.path.isabs, paths)) else pytest.skip("needs g++ with its sanitizers")
 
 
-@pytest.mark.library
 @pytest.mark.skipif(sys.platform != "linux", reason="the sanitizer is loaded first on Linux alone")
 def test_no_kernel_leaves_its_arrays(tmp_path):
     first, path = ":".join(preloaded()), tmp_path / "library.so"

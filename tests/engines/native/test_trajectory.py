@@ -137,7 +137,6 @@ def test_moves_of_users_may_have_functions_of_one_name():
     assert stepped(contexts) < 1e-12
 
 
-@pytest.mark.library
 @pytest.mark.parametrize("platform", ["Reference", "CPU"])
 def test_moves_of_users_are_left_to_the_host_where_kernels_are_compiled_before(platform):
     rows = ((Fading(3.0), 0.5), (KICK, 0.5), (DRIFT, 1.0), (KICK, 0.5), (Fading(50.0), 0.5))
