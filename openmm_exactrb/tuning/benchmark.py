@@ -92,7 +92,7 @@ class Method:
         if self.scheme is None:
             return 1.0
         shown = self.scheme.with_inner_steps if self.nested else self.scheme
-        looks = bool(self.scheme.processor) and missing() is not None  # whether a call looks for changes of the forces
+        looks = bool(self.scheme.processor) and missing() is not None  # at forces that may have changed, once a call
         return self.scheme.forces + max(shown.output_forces + looks, int(self.scheme.sequence[0][0].kicks)) / _CALL
 
 

@@ -14,6 +14,8 @@ import mdtraj
 import numpy as np
 import pytest
 
+from places import errors_of
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
@@ -101,8 +103,9 @@ def test_a_command_ends_with_a_status_and_its_line(tmp_path):
     command = [sys.executable, str(EXAMPLES / "dipole_fluid.py"), "--platform", "Abacus", "--out", str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 1
-    assert done.stderr.startswith("dipole_fluid.py: there is no platform 'Abacus' here")
-    assert done.stderr.count("\n") == 1
+    errors = errors_of(done.stderr)
+    assert errors.startswith("dipole_fluid.py: there is no platform 'Abacus' here")
+    assert errors.count("\n") == 1
 
 
 LARGE = pytest.mark.validate  # seconds, and `make docs` runs it too
