@@ -18,8 +18,10 @@ from test_native_molecules import tether
 from zoo import every_kind, water
 
 import openmm_exactrb as rb
+from alchemical import alchemical
 from bonded_terms import FORMS, N
 from bonded_terms import system_of as bonded
+from custom_forces import ENERGIES, KINDS, chain, force_of
 from openmm_exactrb.engines import library
 from peptides import in_water
 from starts import CPU, REFERENCE, positions_of
@@ -108,6 +110,7 @@ def flexible_molecules():
     for system, positions in PEPTIDES.values():
         yield system, positions, constant("S2_2", 0.002, fast="bonded")
         yield system, positions, langevin("W2_3m", 0.004, fast="bonded", flexibleFriction=20.0), CPU
+        yield alchemical(system), positions, langevin("BAOA", fast="bonded")
     system, positions = PEPTIDES["AllBonds"]
     for scheme in ("W2_1", "W4_4"):
         yield system, positions, constant(scheme, 0.002, fast="bonded")
@@ -120,6 +123,8 @@ def flexible_molecules():
     yield tethered, positions, langevin("W2_3m", fast=(1,), innerSteps=3)
     turns = np.radians(100.0) * np.arange(N)
     helix = np.stack([0.1 * np.cos(turns), 0.1 * np.sin(turns), 0.08 * np.arange(N)], axis=1)
+    energies = [force_of(kind, energy, n=20) for kind in KINDS for energy in ENERGIES]
+    yield chain(openmm.CustomExternalForce("x^2"), *energies, n=20), helix[:20], constant("S2_2", 1e-6, fast="bonded")
     trap = openmm.CustomExternalForce("x^2")
     trap.addParticle(0)
     yield bonded(trap, *(make() for make in FORMS)), helix, constant("S2_2", 1e-6, fast="bonded", innerSteps=2)
