@@ -9,7 +9,7 @@ import openmm_exactrb as rb
 from peptides import in_box
 from starts import CPU, context_of, positions_of
 
-pytestmark = pytest.mark.filterwarnings("ignore")
+pytestmark = [pytest.mark.library, pytest.mark.filterwarnings("ignore")]
 reason = "pip install 'openmm-exactrb[validation]'"
 alchemy = pytest.importorskip("openmmtools.alchemy", reason=reason)
 
