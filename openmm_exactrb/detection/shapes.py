@@ -23,6 +23,11 @@ _ALIKE = 1e-3
 #: Largest accepted deviation from the distances of a body, relative to its largest distance. Deviations occur because
 #: files contain rounded distances.
 RESIDUAL = 1e-5
+# Principal axes are not unique if their moments differ by less than this fraction of the largest, which is roundoff.
+_EQUAL = 1e-11
+# A particle determines an axis if its distance along it exceeds this fraction of the largest, which no symmetric shape
+# has as a ratio.
+_SEEN = 0.1357
 # Largest number of particles of a flat body with unconstrained distances, and smallest relative eigenvalue of a stress
 # that keeps the body flat.
 _LARGEST_FLAT, _RESISTING = 64, 1e-3
@@ -104,7 +109,31 @@ def _with_shape_of(particles: Indices, masses: Array, X: Array) -> Kind:
     centred = X - X.mean(axis=0)
     extent, directions = np.linalg.eigh(centred.T @ centred)
     directions[:, 0] *= np.linalg.det(directions)  # a rotation, which keeps the handedness of the body
-    return _in_principal_axes(particles, masses, centred @ directions[:, extent > _FLAT * extent[-1]])
+    kind = _in_principal_axes(particles, masses, centred @ directions[:, extent > _FLAT * extent[-1]])
+    return replace(kind, sites=kind.sites @ _determined(kind.sites[0], kind.inertia[0]))
+
+
+def _determined(sites: Array, moments: Array) -> Array:
+    """Return the rotation (3, 3) from principal axes to those that the particles of a body determine.
+
+    Principal axes are unique up to their signs, and up to rotations among axes with equal moments. Saved orientations
+    and the noise of thermostats depend on the choice, so that this must be independent of the orientation of the body
+    and of rounding errors: one of the first particles is on the positive side of an axis or, with equal moments, on
+    this axis.
+    """
+    turn = np.eye(3)
+    ends = np.flatnonzero(np.append(np.diff(moments) > _EQUAL * moments[2], True)) + 1
+    for begin, end in zip([0, *ends[:-1]], ends, strict=True):
+        rest = sites[:, begin:end].copy()
+        for k in range(begin, end):
+            distances = np.linalg.norm(rest, axis=1)
+            first = int(np.argmax(distances > _SEEN * distances.max()))
+            if distances[first] == 0.0:
+                continue  # an axis across a flat or linear body
+            turn[begin:end, k] = axis = rest[first] / distances[first]
+            rest -= np.outer(rest @ axis, axis)
+    turn[:, 2] *= np.linalg.det(turn)  # a rotation, which keeps the handedness of the body
+    return turn
 
 
 def _joined(kinds: list[Kind]) -> Kind:
