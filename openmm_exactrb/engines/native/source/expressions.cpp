@@ -5,7 +5,8 @@
 #include "lepton/Operation.h"
 #include "lepton/ParsedExpression.h"
 #include "lepton/Parser.h"
-#include <cstdio>
+#include <locale>
+#include <sstream>
 
 using Lepton::ExpressionTreeNode;
 using Lepton::Operation;
@@ -66,9 +67,11 @@ private:
         return line(made);
     }
     int constant(double value) {
-        char digits[32];
-        std::snprintf(digits, sizeof(digits), "constant %.17g", value);
-        return line(digits);
+        std::ostringstream words;  // independent of the locale, unlike printf
+        words.imbue(std::locale::classic());
+        words.precision(17);
+        words << "constant " << value;
+        return line(words.str());
     }
     int inverse(int of) {
         return step("divide", {constant(1.0), of});

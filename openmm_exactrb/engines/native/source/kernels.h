@@ -6,8 +6,10 @@
 #include "openmm/internal/ThreadPool.h"
 #include <cstdlib>
 #include <functional>
+#include <locale>
 #include <map>
 #include <memory>
+#include <sstream>
 #include <string>
 #include <utility>
 #include <vector>
@@ -113,9 +115,17 @@ inline int integer(const Constants& constants, const char* name) {
     auto found = constants.find(name);
     return found == constants.end() ? 0 : std::atoi(found->second.c_str());
 }
+// Read a number independently of the locale, unlike strtod.
+inline double number_in(const std::string& text) {
+    std::istringstream words(text);
+    words.imbue(std::locale::classic());
+    double number = 0.0;
+    words >> number;
+    return number;
+}
 inline double real(const Constants& constants, const char* name) {
     auto found = constants.find(name);
-    return found == constants.end() ? 0.0 : std::strtod(found->second.c_str(), NULL);
+    return found == constants.end() ? 0.0 : number_in(found->second);
 }
 
 } // namespace exactrb

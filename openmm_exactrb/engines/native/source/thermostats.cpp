@@ -17,7 +17,7 @@ struct Thermostats : Thread {
         std::istringstream words(found == constants.end() ? "" : found->second);
         std::string word;
         for (int k = 0; k < MOST_WEIGHTS && std::getline(words, word, ','); k++)
-            weight[k] = std::strtod(word.c_str(), NULL);
+            weight[k] = number_in(word);
     }
 #define RESCALING
 #define CHAIN links
