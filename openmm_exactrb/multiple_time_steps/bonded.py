@@ -152,12 +152,16 @@ class BondedNumbers:
         if system.getNumForces() != self._count:  # the Context needs `reinitialize` first
             return False
         before, self._numbers = self._numbers, self._read(system)
-        return not all(map(np.array_equal, before, self._numbers))
+        same = len(before) == len(self._numbers) and all(map(np.array_equal, before, self._numbers))
+        return not same
 
     def _read(self, system: openmm.System) -> list[NDArray[Any]]:
-        forces = [system.getForce(k) for k in self._joining]
-        offsets = [parameters.exception_offsets(force) for force in forces if isinstance(force, openmm.NonbondedForce)]
-        return [*(_terms(force)[1] for force in forces), *(np.asarray(some) for of in offsets for some in of)]
+        numbers: list[NDArray[Any]] = []
+        for force in map(system.getForce, self._joining):
+            numbers.append(_terms(force)[1])
+            if isinstance(force, openmm.NonbondedForce) and force.getNumExceptionParameterOffsets():
+                numbers += map(np.asarray, parameters.exception_offsets(force))
+        return numbers
 
 
 def _terms(force: Any) -> parameters.Rows:

@@ -347,9 +347,13 @@ class NativePropagator:
         self.updates.check_box(self.sync.context)
         if not np.isfinite(self.machine.download("factors", np.empty(2))).all():  # zero if the thermostat has none
             raise DivergedError(IntegrationError, self._settings.thermostat.diverged)
-        state = self.sync.in_machine(self._shown)
-        what = non_finite(self.sync.bodies, state) or "positions or forces became non-finite"
-        raise DivergedError(NonFiniteError, what)
+        for shown in {
+            self._shown,
+            False,
+        }:  # within a step, only the inner state of a processed scheme is the present one
+            if what := non_finite(self.sync.bodies, self.sync.in_machine(shown)):
+                raise DivergedError(NonFiniteError, what)
+        raise DivergedError(NonFiniteError, "positions or forces became non-finite")
 
     @property
     def _judged(self) -> bool:
