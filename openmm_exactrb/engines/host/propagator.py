@@ -272,8 +272,9 @@ class HostPropagator:
         """Return a state after the updates of OpenMM that follow a step."""
         if not self.updates.act:
             return state
-        state = self.environment.at_rest(state)
         n = self.updates.due()
+        if self._processed or not n:
+            state = self.environment.at_rest(state)
         if not n:
             return state
         box = arrays.box(self.sync.context.getState())
@@ -290,9 +291,10 @@ class HostPropagator:
         """Return a state after n of OpenMM's updates; `box` is the box before these updates.
 
         Barostats act on the true state of a processed scheme. With other schemes, they act at the positions of the
-        next kick.
+        next kick, and so does a CMMotionRemover.
         """
-        there = self._true(state) if self._processed else through(self._up_to_kick, state)
+        before = self._true(state) if self._processed else through(self._up_to_kick, state)
+        there = before if self._processed else self.environment.at_rest(before)
         self._positions.write(there)
         if self.updates.pushes:
             self.sync.write_velocities(there)
@@ -301,9 +303,9 @@ class HostPropagator:
         after = self.updates.changed(self.sync, there, box)
         if after is not there or self.updates.pushes:
             self._positions.moved()
-        if after is not there:
+        if after is not before:
             return self._processed_from(after) if self._processed else through(self._back_from_kick, after)
-        if there is not state:
+        if before is not state:
             self._positions.version += 1  # the Context again contains the positions of the state
         return state
 
