@@ -1,5 +1,6 @@
 import gc
 import os
+import signal
 
 import numpy as np
 import pytest
@@ -9,6 +10,10 @@ import compilation
 import openmm_exactrb as rb
 from openmm_exactrb.engines.library import missing
 from openmm_exactrb.mathematics import quaternions
+
+# A shell without job control starts background processes with Ctrl-C ignored; tests of interruptions would never end.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # The same examples every time: whether a change passes is no matter of luck.
 settings.register_profile("fast", max_examples=50, deadline=None, derandomize=True)
