@@ -22,7 +22,7 @@ I2 = Annotated[NDArray[np.int64], "I2"]
 class Graph(NamedTuple):
     """The graph of clusters of n atoms with m constraints.
 
-    The Cholesky factor of the matrix A of `compiled.clusters` has e nonzero entries.
+    The Cholesky factor of the matrix A of `plain.clusters` has e nonzero entries.
     """
 
     inverse: F1  #: inverse masses of the atoms (n,)

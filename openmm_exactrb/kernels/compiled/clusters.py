@@ -1,22 +1,6 @@
 """The free flow of clusters with distance constraints, and the projection of their momenta, compiled.
 
-With r_c = x_i - x_j for each constraint c = (i, j), and s_ca = 1 for a = i, -1 for a = j and 0 otherwise,
-
-    x_a'' = sum_c s_ca F_c / m_a,  F_c = lambda_c r_c,  r_c'' = sum_d B_cd F_d,  B_cd = sum_a s_ca s_da / m_a.
-
-These equations are closed in the r_c. With the time of the drift as the unit of time, and w = (k + 1)(k + 2), their
-power series is:
-
-    r_c,k+2 = sum_d B_cd F_d,k / w,   F_c,k = lambda_c,k r_c,0 + sum_(j < k) lambda_c,j r_c,k-j.
-
-The multipliers follow from r_c.r_c = d_c², order by order, with the same matrix A_cd = B_cd r_c,0.r_d,0 for all orders:
-
-    sum_d A_cd lambda_d,k = -w q_c - r_c,0 . sum_d B_cd sum_(j < k) lambda_d,j r_d,k-j,
-    q_c = sum_(0 < j < k + 2) r_c,j . r_c,k+2-j / 2.
-
-A is factorised once per drift. The same factor serves to correct the rounding errors (d_c² - r_c.r_c)/2 of the initial
-positions and r_c.r_c' of the initial momenta. A drift therefore starts with the projection of the momenta, and kicks
-need not project them.
+The formulas are those of `openmm_exactrb.kernels.plain.clusters`.
 
 Clusters of one kind are advanced in blocks; see `cluster_rows`. State arrays x and p are double-doubles (2, 3, M), or
 plain numbers (1, 3, M); atom a of cluster i is column first + a count + i.
@@ -44,14 +28,9 @@ from openmm_exactrb.kernels.compiled.cluster_rows import (
     solve,
     vectors,
 )
+from openmm_exactrb.kernels.plain.clusters import HALVINGS, ORDERS, SETTLED
 from openmm_exactrb.kernels.records import Graph
 
-#: The largest number of orders of the multipliers in a drift; a step that needs more orders is halved.
-ORDERS = 30
-#: A series ends when two successive terms are below this fraction of its first term.
-SETTLED = 1e-16
-#: The largest number of times that a step is halved; the results of a cluster that needs more halvings are nan.
-HALVINGS = 12
 #: Clusters per block.
 LANES = 32
 

@@ -16,7 +16,7 @@ RAYS = 4
 #: The largest numbers of orders of the multipliers of stars, whose series are in registers, and of other graphs.
 ORDERS, GRAPH_ORDERS = 12, 30
 #: The relative size of terms at which a series ends, and the smallest part of a drift, which is not halved further; see
-#: `openmm_exactrb.kernels.compiled.clusters`.
+#: `openmm_exactrb.kernels.plain.clusters`.
 SETTLED, SHORTEST = 1e-16, 0.5**12
 
 

@@ -72,23 +72,29 @@ DEVICE inline FINES angle_of(FINES y, FINES x) {
     return angle;
 }
 
+// Compute the cosine and sine of an angle, times the lengths of both sides, and the forces on its three atoms for -dV/d(angle) = f.
+#define ANGLE(a, b, c) \
+    DIFFERENCE(u, a, b); \
+    DIFFERENCE(v, c, b); \
+    CROSS(n, u, v); \
+    const NUMERIC cosine = DOT(u, v); \
+    NUMERIC sine = sqrt(DOT(n, n));
+#define ADD_ANGLE(a, b, c, f) \
+    CROSS(p, u, n); \
+    CROSS(q, n, v); \
+    const NUMERIC g = (f)/(sine*DOT(u, u)), h = (f)/(sine*DOT(v, v)); \
+    const NUMERIC m0 = g*p0+h*q0, m1 = g*p1+h*q1, m2 = g*p2+h*q2; \
+    ADD_THREE(a, g, p, c, h, q, b, -1, m)
+
 // Numbers: cosine and sine of the angle, strength.
 DEVICE inline void add_angles(IN_BLOCK) {
     EACH_TERM {
         const Atoms a = ATOM(0), b = ATOM(1), c = ATOM(2);
-        DIFFERENCE(u, a, b);
-        DIFFERENCE(v, c, b);
-        CROSS(n, u, v);
-        const FINES cosine = DOT(u, v);
-        FINES sine = sqrt(DOT(n, n));
+        ANGLE(a, b, c)
         EACH(l, AT_ONCE)
             LANE(sine, l) = fmax(LANE(sine, l), (fine) 1e-12f);
         const FINES f = STRENGTH(2)*angle_of(NUMBER(1)*cosine-NUMBER(0)*sine, NUMBER(0)*cosine+NUMBER(1)*sine);
-        CROSS(p, u, n);
-        CROSS(q, n, v);
-        const FINES g = f/(sine*DOT(u, u)), h = f/(sine*DOT(v, v));
-        const FINES m0 = g*p0+h*q0, m1 = g*p1+h*q1, m2 = g*p2+h*q2;
-        ADD_THREE(a, g, p, c, h, q, b, -1, m)
+        ADD_ANGLE(a, b, c, f)
     }
 }
 
@@ -175,21 +181,14 @@ DEVICE inline void add_custom_bonds(IN_BLOCK, OF_CUSTOM) {
 DEVICE inline void add_custom_angles(IN_BLOCK, OF_CUSTOM) {
     EACH_TERM {
         const Atoms a = ATOM(0), b = ATOM(1), c = ATOM(2);
-        DIFFERENCE(u, a, b);
-        DIFFERENCE(v, c, b);
-        CROSS(n, u, v);
-        const EXACTS cosine = DOT(u, v);
-        EXACTS sine = sqrt(DOT(n, n)), angle = sine;
+        ANGLE(a, b, c)
+        EXACTS angle = sine;
         EACH(l, AT_ONCE) {
             LANE(angle, l) = atan2(LANE(sine, l), LANE(cosine, l));
             LANE(sine, l) = fmax(LANE(sine, l), 1e-12);
         }
         const EXACTS f = -DERIVATIVE(angle, angle);
-        CROSS(p, u, n);
-        CROSS(q, n, v);
-        const EXACTS g = f/(sine*DOT(u, u)), h = f/(sine*DOT(v, v));
-        const EXACTS m0 = g*p0+h*q0, m1 = g*p1+h*q1, m2 = g*p2+h*q2;
-        ADD_THREE(a, g, p, c, h, q, b, -1, m)
+        ADD_ANGLE(a, b, c, f)
     }
 }
 

@@ -1,4 +1,4 @@
-// Free motion of a cluster with any constraint graph, by the series of openmm_exactrb.kernels.compiled.clusters and the
+// Free motion of a cluster with any constraint graph, by the series of openmm_exactrb.kernels.plain.clusters and the
 // sparse Cholesky factor of openmm_exactrb.mechanics.elimination. One thread moves a cluster. All clusters with the same
 // graph share its tables. On devices, the workspace of a cluster is in global memory, in which the values of one quantity
 // for all clusters with the same graph are contiguous.
@@ -110,7 +110,7 @@ DEVICE inline void gather(const Graph* g, int which) {
 }
 
 // Correct the changes of the momenta, in ON_ATOM, so that rounding does not change the kinetic energy; see
-// openmm_exactrb.kernels.compiled.clusters. `v` begins with the first atom.
+// openmm_exactrb.kernels.plain.clusters. `v` begins with the first atom.
 DEVICE inline void keep_energy_of_graph(const Graph* g, GLOBAL const number* v) {
     double mass = 0.0, centre[3] = {0.0, 0.0, 0.0}, gained = 0.0, energy = 0.0;
     EACH_ATOM {

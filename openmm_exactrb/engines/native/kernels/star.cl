@@ -1,5 +1,5 @@
 // Free motion of stars, clusters whose first atom is constrained to all others, by the series of
-// openmm_exactrb.kernels.compiled.clusters. A team of threads moves a star. Each thread has one constraint with its
+// openmm_exactrb.kernels.plain.clusters. A team of threads moves a star. Each thread has one constraint with its
 // outer atom, and a copy of the first atom. On OpenCL, where threads cannot exchange numbers without a barrier, a team
 // is a single thread. A single atom is a star without constraints.
 //
@@ -128,7 +128,7 @@ DEVICE inline REALS along_star(GLOBAL const double* v, INDICES first, int lane, 
 }
 
 // Correct the changes of the momenta of a star, push0 and minus `push`, so that rounding does not change the kinetic
-// energy; see openmm_exactrb.kernels.compiled.clusters.
+// energy; see openmm_exactrb.kernels.plain.clusters.
 DEVICE inline void keep_energy_of_star(REALS w0, const NUMBERS* V0, REALS* push0, const REALS* w, const NUMBERS (*V)[HELD], REALS (*push)[HELD],
         const bool* holds) {
     REALS told[4][HELD], s[4], centre[3];
