@@ -7,17 +7,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from custom_forces import ENERGIES, KINDS, N, chain, force_of
-from openmm_exactrb.engines.library import Machine, library
+from kicks import Kicks
+from openmm_exactrb.engines.library import library
 from openmm_exactrb.engines.native.flexible import blocks
 from openmm_exactrb.engines.native.flexible.blocks import Group
 from openmm_exactrb.engines.native.flexible.expressions import Custom
 from openmm_exactrb.engines.native.flexible.molecules import Molecules
-from openmm_exactrb.engines.native.flexible.part import Flexible, FlexiblePart
-from openmm_exactrb.engines.native.program import Program
-from openmm_exactrb.engines.native.rigid import Demands
-from openmm_exactrb.engines.native.segments import Segment, Table
-from openmm_exactrb.mechanics.state import BodyState, State
-from openmm_exactrb.moves import Move, Op
 from openmm_exactrb.multiple_time_steps.bonded import Bonded
 from openmm_exactrb.multiple_time_steps.compiled_forces import NO_TERMS
 from places import REFERENCE, device_platform
@@ -26,42 +21,11 @@ from starts import context_of
 RNG = np.random.default_rng(8)
 
 
-class Kicks:
-    """A program that kicks particles of mass 1 by the kernels of custom forces of a System."""
-
-    def __init__(self, system, platform):
-        n, on_processor = system.getNumParticles(), platform is REFERENCE
-        customs = tuple(Custom.of(Bonded.of(force)) for force in system.getForces())
-        molecules = Molecules([Group(np.arange(n)[:, None])], np.ones(n), np.arange(n), NO_TERMS, customs)
-        demands = Demands(pairs=on_processor)
-        self.n, self.part = n, FlexiblePart(Flexible(molecules, np.zeros((n, 3)), np.float64), demands, "flexible_")
-        table, program = Table(), Program()
-        program.sequence("kick", self.part.launches(Segment((Move(Op.FAST_KICK, 1.0),), shows=True), table))
-        program.scalars |= {"turn": 0.0, "key": 0.0, "hottest": 1e300}
-        self.part.declare(program)
-        program.array("factors", 2)
-        table.declare(program, 0)
-        integrator = library().make()
-        integrator.setStepSize(1.0)
-        properties = {} if on_processor else {"Precision": "double"}
-        self.context = openmm.Context(system, integrator, platform, properties)
-        self.context.setPositions(np.zeros((n, 3)))
-        self.machine = Machine(library(), integrator)
-        self.machine.load(program.text(on_processor))
-        moves, numbers = table.values(1.0, None)
-        for name, values in (self.part.tables() | {"moves": moves, "numbers": numbers}).items():
-            self.machine.upload(name, values)
-
-    def __call__(self, x, **parameters):
-        """Return the forces at positions (n, 3) with given parameters of the Context."""
-        for name, value in parameters.items():
-            self.context.setParameter(name, value)
-        still = np.zeros((3, self.n)), np.zeros((4, 0)), np.zeros((3, 0))
-        self.part.write(self.machine, State.of(BodyState(x.T.copy(), *still)))
-        self.machine.run("kick")
-        out = State.of(BodyState(np.zeros((3, self.n)), *still))
-        self.part.read(self.machine, out)
-        return out.rounded.P.T
+def kicks_of(system, platform):
+    """Return a function of positions, and of parameters, that returns the forces of a System's custom forces."""
+    n, customs = system.getNumParticles(), tuple(Custom.of(Bonded.of(force)) for force in system.getForces())
+    molecules = Molecules([Group(np.arange(n)[:, None])], np.ones(n), np.arange(n), NO_TERMS, customs)
+    return Kicks(system, molecules, platform)
 
 
 def of_openmm(system, x, **parameters):
@@ -86,7 +50,7 @@ def assert_as_openmm(ours, theirs):
 @pytest.mark.parametrize("energy", ENERGIES)
 def test_every_function_is_openmms(kind, energy):
     system, x = chain(force_of(kind, energy)), places()
-    kicks = Kicks(system, REFERENCE)
+    kicks = kicks_of(system, REFERENCE)
     for parameters in ({}, {"p": 0.3}, {"p": 0.9, "q": 2.0}):
         assert_as_openmm(kicks(x, **parameters), of_openmm(system, x, **kicks.context.getParameters()))
 
@@ -100,7 +64,7 @@ def test_every_function_is_openmms_on_devices(kind, monkeypatch):
     count = len(ENERGIES)
     system = chain(*(force_of(kind, energy, N * i) for i, energy in enumerate(ENERGIES)), n=N * count)
     x = np.concatenate([places() for _ in ENERGIES])
-    kicks = Kicks(system, device_platform())
+    kicks = kicks_of(system, device_platform())
     assert len(kicks.part.blocks) > count
     resolution = 8.0 * 2.0**-32  # of sums in fixed point, for a few terms on a particle
     for parameters in ({}, {"p": 0.3}, {"p": 0.9, "q": 2.0}):
@@ -137,20 +101,20 @@ EXPRESSIONS = st.recursive(
 def test_any_expression_is_openmms(kind, energy, p, q):
     energy = f"0*v + {energy}".replace("v", KINDS[kind][1])
     system, x = chain(force_of(kind, energy)), places()
-    assert_as_openmm(Kicks(system, REFERENCE)(x, p=p, q=q), of_openmm(system, x, p=p, q=q))
+    assert_as_openmm(kicks_of(system, REFERENCE)(x, p=p, q=q), of_openmm(system, x, p=p, q=q))
 
 
 def test_particles_at_one_place_have_no_force():
     system, x = chain(force_of("Bond", ENERGIES[0])), places()
     x[1] = x[0]
-    assert_as_openmm(Kicks(system, REFERENCE)(x), of_openmm(system, x))
+    assert_as_openmm(kicks_of(system, REFERENCE)(x), of_openmm(system, x))
 
 
 def test_positions_that_are_not_finite_have_such_forces():
     x = places()
     x[4] = np.nan
     for kind in KINDS:
-        assert np.isnan(Kicks(chain(force_of(kind, ENERGIES[0])), REFERENCE)(x)[4]).all()
+        assert np.isnan(kicks_of(chain(force_of(kind, ENERGIES[0])), REFERENCE)(x)[4]).all()
 
 
 def test_terms_without_numbers_or_parameters():
@@ -158,7 +122,7 @@ def test_terms_without_numbers_or_parameters():
     force.addBond(0, 1)
     force.addBond(3, 1)
     system, x = chain(force), places()
-    assert_as_openmm(Kicks(system, REFERENCE)(x), of_openmm(system, x))
+    assert_as_openmm(kicks_of(system, REFERENCE)(x), of_openmm(system, x))
 
 
 def test_an_expression_that_openmm_cannot_read_is_an_error():
