@@ -1,4 +1,4 @@
-"""Markdown tables of the documentation, generated from the measurements in docs/*.csv."""
+"""Markdown tables of the documentation, generated from the measurements in records/*.csv."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Write the tables of the pages, from the records in docs/*.csv and from the catalogue of schemes.
+"""Write the tables of the pages, from the records in records/*.csv and from the catalogue of schemes.
 
 A table follows a comment with its name, such as `<!-- table: one_line -->`. The name is that of a function in one of
 the files `tables.py`, of a table of the study of equipartition, or of a record that is copied unchanged.

@@ -18,11 +18,11 @@ The picture is from ``python examples/dielectric_constant.py``, which simulates 
 dielectric constant is 63.4 ± 2.3, compared with 64.6 ± 1.8 from LAMMPS. The mean of six longer runs is 66.4 ± 0.7
 (:doc:`/tutorials/dielectric`).
 
-.. image:: /dielectric_constant.png
+.. image:: /pictures/dielectric_constant.png
    :alt: Running estimate of the dielectric constant over 2000 ps with its error band, next to the value of LAMMPS
 """
 
-# sphinx_gallery_thumbnail_path = "dielectric_constant.png"
+# sphinx_gallery_thumbnail_path = "pictures/dielectric_constant.png"
 
 from __future__ import annotations
 

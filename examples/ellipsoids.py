@@ -18,11 +18,11 @@ Ctrl-C, a kill or a full disk, the same command with ``--resume`` continues the 
 The picture is from ``python examples/ellipsoids.py --pressures 2 3 4 5 --duration 400``: the order parameter is 0.09 at
 the first pressure and 0.78 at the last.
 
-.. image:: /ellipsoids.png
+.. image:: /pictures/ellipsoids.png
    :alt: Order parameter in four stages of rising pressure, below 0.2 in the first two, above 0.7 in the others
 """
 
-# sphinx_gallery_thumbnail_path = "ellipsoids.png"
+# sphinx_gallery_thumbnail_path = "pictures/ellipsoids.png"
 
 from __future__ import annotations
 

@@ -12,11 +12,11 @@ ps. After Ctrl-C, a kill or a full disk, the same command with ``--resume`` cont
 
 The picture is from ``python examples/ferrofluid.py -n 500 --duration 30``.
 
-.. image:: /ferrofluid_chains.png
+.. image:: /pictures/ferrofluid_chains.png
    :alt: Chains and rings of dipoles in a box, and the mean size of clusters, which grows over 30 ps
 """
 
-# sphinx_gallery_thumbnail_path = "ferrofluid_chains.png"
+# sphinx_gallery_thumbnail_path = "pictures/ferrofluid_chains.png"
 
 from __future__ import annotations
 

@@ -15,13 +15,14 @@ Units are reduced: sigma, epsilon and the mass of a sphere are 1 nm, 1 kJ/mol an
 Ctrl-C, a kill or a full disk, the same command with ``--resume`` continues the run.
 
 The picture is from ``python examples/stockmayer_fluid.py``, whose dielectric constant is 66.8 ± 5.9. ``--draw
-docs/stockmayer_fluid.csv`` draws the picture from the stored record, the file ``structure.csv`` of that run.
+benchmarks/records/stockmayer_fluid.csv stockmayer_fluid.png`` draws it from the stored record, the file
+``structure.csv`` of that run.
 
-.. image:: /stockmayer_fluid.png
+.. image:: /pictures/stockmayer_fluid.png
    :alt: Top, g(r) and h110(r). Bottom, the sum of cosines, which still grows at half the edge of the box
 """
 
-# sphinx_gallery_thumbnail_path = "stockmayer_fluid.png"
+# sphinx_gallery_thumbnail_path = "pictures/stockmayer_fluid.png"
 
 from __future__ import annotations
 
@@ -54,7 +55,7 @@ SAMPLE = 4  # steps between two moments
 def main() -> None:
     args = parse()
     if args.draw:
-        draw(args.draw, args.draw.with_suffix(".png"))
+        draw(*args.draw)
         return
     try:
         job = rb.Run.from_options(args, free=("duration", "draw"))
@@ -77,7 +78,7 @@ def parse() -> argparse.Namespace:
     add("--equilibration", type=float, default=15.0, metavar="T", help="equilibration at the start, ps (%(default)s)")
     add("--duration", type=float, default=200.0, metavar="T", help="length of the run after it, ps (%(default)s)")
     add("--seed", type=int, default=0, metavar="S", help="seed of positions, momenta and noise (%(default)s)")
-    add("--draw", type=Path, metavar="FILE", help="draw a file structure.csv again, without a run")
+    add("--draw", type=Path, nargs=2, metavar=("CSV", "PNG"), help="draw a file structure.csv again, without a run")
     rb.Run.add_options(parser, "out/stockmayer_fluid")
     return parser.parse_args()
 

@@ -1,4 +1,4 @@
-"""Markdown tables for the documentation, generated from the records in docs/."""
+"""Markdown tables for the documentation, generated from the records."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from benchmarks.common.records import Row
 
 def rows(name: str) -> list[Row]:
     """Return the lines of a table that a benchmark has written; none if it has not run."""
-    return records.read(records.DOCS / f"{name}.csv")
+    return records.read(records.RECORDS / f"{name}.csv")
 
 
 def table(head: Sequence[str], body: Iterable[Sequence[str]]) -> str:

@@ -1,4 +1,4 @@
-"""Storage of measurements: tables in docs/, from which the pages are generated, and raw data in out/benchmarks/."""
+"""Storage of measurements: tables in records/, from which the pages are generated, and raw data in out/benchmarks/."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from openmm_exactrb.support.files import written_whole
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
+RECORDS, PICTURES = ROOT / "benchmarks" / "records", DOCS / "pictures"
 OUT = Path("out/benchmarks")
 
 Row = dict[str, str]
@@ -32,6 +33,12 @@ def write(file: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any] |
         table = csv.writer(out, lineterminator="\n")
         table.writerow(columns)
         table.writerows([row[name] for name in columns] if isinstance(row, Mapping) else row for row in rows)
+
+
+def picture_of(table: Path) -> Path:
+    """Return the file of the picture of a table: in `PICTURES` for a record, and otherwise next to the table."""
+    folder = PICTURES if table.parent.resolve() == RECORDS else table.parent
+    return (folder / table.name).with_suffix(".png")
 
 
 def keep(name: str, data: Any) -> None:

@@ -10,8 +10,8 @@ The rows of LINCS quote the results of doi:10.1021/acs.jpcb.1c03665. Runs of DPP
 6) measure the area per lipid and the order parameter, which are known from experiments.
 
 Samples are written every 0.12 ps to CSV files in out/benchmarks/cholesterol_membrane, next to checkpoints, so that the
-same command resumes an interrupted run. --table prints the averages of these files and writes docs/cholesterol.csv or
-docs/dppc.csv.
+same command resumes an interrupted run. --table prints the averages of these files and writes records/cholesterol.csv
+or records/dppc.csv.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import openmm
 import openmm_exactrb as rb
 from benchmarks.common import starts
 from benchmarks.common.pictures import plt
-from benchmarks.common.records import DOCS, OUT, write
+from benchmarks.common.records import OUT, RECORDS, picture_of, write
 from benchmarks.common.starts import R, masses_of, positions_and_velocities
 from benchmarks.constraints import martini
 
@@ -35,7 +35,7 @@ METHODS = "exact", "LangevinMiddle", "LangevinMiddle, dummy torsions"
 SAMPLE = 0.12  # ps
 COLUMNS = ("time_ps", "T_CHOL_K", "T_lipid_K", "T_W_K", "area_nm2", "order", "constraint_nm")
 
-TABLES = {"DPPC-CHOL": DOCS / "cholesterol.csv", "DPPC": DOCS / "dppc.csv"}
+TABLES = {"DPPC-CHOL": RECORDS / "cholesterol.csv", "DPPC": RECORDS / "dppc.csv"}
 HEADS = {1: "T of cholesterol, K", 2: "T of lipids, K", 3: "T of water, K", 4: "area a lipid, nm²", 5: "order of tails"}
 #: Columns of samples in the tables: with cholesterol the area rises for nanoseconds, and is not shown.
 SHOWN = {"DPPC-CHOL": (1, 2, 3), "DPPC": (2, 3, 4, 5)}
@@ -249,7 +249,7 @@ def draw(composition, folder):
     axes.set_xlabel("x (nm)")
     axes.set_ylabel("z (nm)")
     axes.set_title(f"{composition} in water after {1e-3 * state.getTime()._value:.1f} ns: cholesterol in orange")
-    figure.savefig(TABLES[composition].with_suffix(".png"), dpi=110)
+    figure.savefig(picture_of(TABLES[composition]), dpi=110)
 
 
 def main():
@@ -261,9 +261,7 @@ def main():
     parser.add_argument("--seed", type=int, default=1, help="of the noise: replicas may run side by side (%(default)s)")
     parser.add_argument("--equilibrate", type=float, default=45.0, help="ps (%(default)s)")
     parser.add_argument("--length", type=float, default=3000.0, help="ps (%(default)s)")
-    parser.add_argument(
-        "--table", action="store_true", help="write docs/cholesterol.csv and .png, or dppc.csv, from what is there"
-    )
+    parser.add_argument("--table", action="store_true", help="write the record and its picture from what is there")
     args = parser.parse_args()
     folder = OUT / "cholesterol_membrane" / args.composition
     folder.mkdir(parents=True, exist_ok=True)

@@ -7,7 +7,7 @@ doi:10.1021/ct300646g; Martini 3: doi:10.1038/s41592-021-01098-3; cholesterol as
 simulated with OpenMM's LangevinMiddleIntegrator, tolerance 1e-6. Every run has a separate seed, so that rows are
 independent.
 
-Rows are added to docs/martini_rings.csv as runs finish; runs that the file contains are not repeated.
+Rows are added to records/martini_rings.csv as runs finish; runs that the file contains are not repeated.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ import numpy as np
 import openmm
 
 import openmm_exactrb as rb
-from benchmarks.common.records import DOCS, Record
+from benchmarks.common.records import RECORDS, Record
 from benchmarks.common.starts import R, context_of, positions_and_velocities
 from benchmarks.constraints import martini
 
 RUN = ("molecule", "step_fs", "integrator")
-TABLE = Record(DOCS / "martini_rings.csv", RUN, ("seed", "T_K", "error_K", "largest_constraint_error_nm"))
+TABLE = Record(RECORDS / "martini_rings.csv", RUN, ("seed", "T_K", "error_K", "largest_constraint_error_nm"))
 TEMPERATURE, FRICTION, SAMPLE, BLOCKS = 310.0, 5.0, 0.3, 20
 
 

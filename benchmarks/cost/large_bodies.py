@@ -3,7 +3,7 @@
 The body is a sphere of charged Lennard-Jones atoms, about as dense as a protein, in TIP3P. Forces within a body do not
 move it, so exceptions for its pairs can remove them. The script measures force evaluations without and with these
 exceptions, and steps of V2, which evaluates forces once, with the body passed as ``bodies=``. Times are medians of
-alternating evaluations, in CPU time on the CPU platform with one thread. Rows are written to docs/large_bodies.csv.
+alternating evaluations, in CPU time on the CPU platform with one thread. Rows are written to records/large_bodies.csv.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from openmm import app
 
 import openmm_exactrb as rb
 from benchmarks.common.clocks import timed
-from benchmarks.common.records import DOCS, write
+from benchmarks.common.records import RECORDS, write
 from benchmarks.common.starts import ONE_THREAD, context_of
 
 COLUMNS = (
@@ -102,7 +102,7 @@ def main():
     for atoms, name in itertools.product(BOXES, METHODS):
         rows.append(row(atoms, name, args.evaluations))
         print(*rows[-1], sep=",", flush=True)
-    write(DOCS / "large_bodies.csv", COLUMNS, rows)
+    write(RECORDS / "large_bodies.csv", COLUMNS, rows)
 
 
 if __name__ == "__main__":

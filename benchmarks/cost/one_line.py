@@ -2,7 +2,7 @@
 
 The systems are a box of TIP3P, a helix and solutes in water, as built by `createSystem` (PME, a CMMotionRemover). They
 run on the CPU platform with one thread, through `Simulation.step` with a report at the end of each run. Each row of
-docs/one_line.csv is the median and the quartiles of the ratios of processor times in rounds in which the integrators
+records/one_line.csv is the median and the quartiles of the ratios of processor times in rounds in which the integrators
 alternate on one core. With --energies, the script instead measures the standard deviation of the total energy of a box
 over 30 ps from the same starts, with a switch and a tight Ewald tolerance.
 
@@ -36,13 +36,13 @@ from benchmarks.common.clocks import QUARTILES, in_turns, on_one_core, quartiles
 from benchmarks.common.energies import along, root_mean_square
 from benchmarks.common.proteins import FORCE_FIELD, solvated, solvated_helix
 from benchmarks.common.provenance import OF_RUN, of_run, provenance
-from benchmarks.common.records import DOCS, Record
+from benchmarks.common.records import RECORDS, Record
 from benchmarks.common.starts import canonical, simulation_of, thermostat
 
 STEP, TEMPERATURE, FRICTION = 0.002, 300.0, 1.0  # ps, K, 1/ps
 EQUILIBRATION = 500  # steps before times are measured
 RECORD = Record(
-    DOCS / "one_line.csv",
+    RECORDS / "one_line.csv",
     ("system", "threads", "run", "relative_to"),
     (*QUARTILES, *OF_RUN, "load"),
 )

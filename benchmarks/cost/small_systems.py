@@ -7,7 +7,7 @@ the first step of water, without that of imports, is measured in new processes w
 library. On two threads, the wall time of the native engine is compared with that of the host engine.
 
 Each row is the median and the quartiles of nine pairs of runs that alternate, except on two threads on one core. Rows
-are written to docs/small_systems.csv; rows that are there are not measured again.
+are written to records/small_systems.csv; rows that are there are not measured again.
 
     python benchmarks/cost/small_systems.py --pdb villin.pdb
     python benchmarks/cost/small_systems.py --only water --engine host --record out/host.csv
@@ -34,7 +34,7 @@ import openmm_exactrb as rb
 from benchmarks.common.clocks import QUARTILES, in_turns, on_one_core, quartiles, timed
 from benchmarks.common.proteins import FORCE_FIELD, PEPTIDE, helix, solvated
 from benchmarks.common.provenance import PROVENANCE, provenance
-from benchmarks.common.records import DOCS, Record
+from benchmarks.common.records import RECORDS, Record
 from benchmarks.common.starts import context_of
 from openmm_exactrb.engines.library import CACHE, library
 
@@ -276,7 +276,7 @@ def main() -> None:
     add("--only", choices=("water", "peptides", "solutes", "threads"), help="some of the rows")
     add("--pdb", type=Path, help="a solvated protein, beside alanine dipeptide")
     add("--engine", default="native", help="of our integrators (%(default)s)")
-    add("--record", type=Path, default=DOCS / "small_systems.csv")
+    add("--record", type=Path, default=RECORDS / "small_systems.csv")
     args = parser.parse_args()
     pdbs = [args.pdb] if args.pdb else []
     record = Record(args.record, RUN, FOUND)

@@ -8,7 +8,7 @@ bodies, as root mean squares relative to those of the exact values.
 alternately on the device, and the compiled kernel is the reference for their errors. Where other programs run, use the
 processor time of OpenCL on a CPU (--clock cpu). "rods" measures the rods of charges that represent dipoles in an Ewald
 sum, as a function of their length and the tolerance, without spheres, relative to the compiled sum at 1e-10. Rows are
-written to docs/dipole_bonds.csv and docs/dipole_rods.csv.
+written to records/dipole_bonds.csv and records/dipole_rods.csv.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ import openmm
 import openmm_exactrb as rb
 from benchmarks.common.clocks import in_turns
 from benchmarks.common.provenance import PROVENANCE, provenance
-from benchmarks.common.records import DOCS, OUT, Record
+from benchmarks.common.records import OUT, RECORDS, Record
 from benchmarks.common.starts import context_of
 from benchmarks.common.stockmayer import KELVIN, MU2, arrows, edge_of, fluid, relative_error
 from openmm_exactrb.potentials import dipole_rod_forces, rod_length, soft_dipole_force
 
 CLOCKS = {"wall": time.perf_counter, "cpu": time.process_time}
-RECORDS = {
+TABLES = {
     "bonds": Record(
-        DOCS / "dipole_bonds.csv",
+        RECORDS / "dipole_bonds.csv",
         ("dipoles", "precision", "energies scaled by", "kernel"),
         ("force error", "torque error", "clock", "ms", "median ms", *PROVENANCE),
     ),
     "rods": Record(
-        DOCS / "dipole_rods.csv",
+        RECORDS / "dipole_rods.csv",
         ("dipoles", "precision", "tolerance", "length (sigma)"),
         ("mesh", "force error", "torque error"),
     ),
@@ -60,7 +60,7 @@ def main():
             measure = bonds if arguments.what == "bonds" else rods
             for row in measure(n, arguments, precision):
                 shown = {name: f"{value:.3g}" if isinstance(value, float) else value for name, value in row.items()}
-                RECORDS[arguments.what].add({"dipoles": n, "precision": precision} | provenance() | shown)
+                TABLES[arguments.what].add({"dipoles": n, "precision": precision} | provenance() | shown)
 
 
 def liquid(n):

@@ -2,7 +2,7 @@
 
 The droplet and its initial states are those of examples/dipole_fluid.py, on the Reference platform. The error is the
 standard deviation of the total energy over 20 ps, relative to its mean. The largest deviation, which short collisions
-determine, would depend on the times at which energies are read. Results are written to docs/dipole_droplet.csv.
+determine, would depend on the times at which energies are read. Results are written to records/dipole_droplet.csv.
 
     python benchmarks/dipoles/dipole_droplet.py
 """
@@ -19,7 +19,7 @@ import numpy as np
 
 import openmm_exactrb as rb
 from benchmarks.common.provenance import OF_RUN, of_run
-from benchmarks.common.records import DOCS, ROOT, Record
+from benchmarks.common.records import RECORDS, ROOT, Record
 from benchmarks.common.starts import context_of
 
 EXAMPLE = SimpleNamespace(**runpy.run_path(str(ROOT / "examples" / "dipole_fluid.py")))
@@ -49,8 +49,9 @@ def row(seed: int, scheme: str, rotor: str) -> dict[str, str]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--starts", type=int, default=3, help="%(default)s")
-    parser.add_argument("--record", type=Path, default=DOCS / "dipole_droplet.csv", metavar="CSV", help="%(default)s")
+    add = parser.add_argument
+    add("--starts", type=int, default=3, help="%(default)s")
+    add("--record", type=Path, default=RECORDS / "dipole_droplet.csv", metavar="CSV", help="%(default)s")
     args = parser.parse_args()
     record = Record(args.record, RUN, (*FOUND, *OF_RUN))
     for (scheme, rotor), seed in itertools.product(METHODS, range(args.starts)):

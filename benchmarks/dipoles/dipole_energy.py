@@ -19,7 +19,7 @@ import numpy as np
 import openmm
 
 import openmm_exactrb as rb
-from benchmarks.common.records import Record
+from benchmarks.common.records import RECORDS, Record
 from benchmarks.common.starts import masses_of, put
 from benchmarks.common.stockmayer import KELVIN, edge_of, fluid
 
@@ -39,7 +39,7 @@ def main():
     add("--starts", type=int, default=3, help="%(default)s")
     add("--duration", type=float, default=20.0, help="ps (%(default)s)")
     add("--long", type=float, default=100.0, help="ps, on the mesh from the first start (%(default)s)")
-    add("--csv", type=Path, default=Path("docs/dipole_energy.csv"), help="%(default)s")
+    add("--csv", type=Path, default=RECORDS / "dipole_energy.csv", help="%(default)s")
     arguments = parser.parse_args()
     chosen = rb.Ewald().getParameters(arguments.n, 3 * [edge_of(arguments.n)])
     same = {"cutoff": chosen.cutoff, "switch": chosen.switch}

@@ -5,7 +5,8 @@ rest over T = 5. All three moments of inertia of a sphere are equal, because LAM
 LAMMPS has no pure (σ/r)^12 potential, so its energies are computed with pair_style hybrid/overlay of dipoles and a Mie
 potential whose attraction is a constant. Its time is that of plain lj/cut/dipole/cut, which is faster. Times are the
 number of evaluations of a run times the seconds of an evaluation, the smallest over several rounds in which the codes
-alternate. Raw data are written to out/benchmarks/dipole_precision.json, and the picture to docs/dipole_precision.png.
+alternate. Raw data are written to out/benchmarks/dipole_precision.json, and the picture to
+docs/pictures/dipole_precision.png.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import openmm_exactrb as rb
 from benchmarks.common import lammps_peer
 from benchmarks.common.clocks import in_turns
 from benchmarks.common.pictures import STYLES, plt
-from benchmarks.common.records import DOCS, keep
+from benchmarks.common.records import PICTURES, keep
 from benchmarks.common.starts import context_of
 from benchmarks.common.stockmayer import arrows
 from benchmarks.cost.dipole_cost import lammps_step
@@ -162,7 +163,7 @@ def draw(cost, lines):
     axis.set_title("125 soft dipoles, open boundaries, two cores (LAMMPS: one)")
     axis.grid(True, alpha=0.3)
     axis.legend(fontsize=9)
-    figure.savefig(DOCS / "dipole_precision.png", dpi=150)
+    figure.savefig(PICTURES / "dipole_precision.png", dpi=150)
     plt.close(figure)
 
 

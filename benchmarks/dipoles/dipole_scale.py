@@ -49,7 +49,7 @@ def main():
     add("--cores", type=int, nargs="*", default=[1], help="of rb.Ewald (1)")
     add("--peer", type=int, nargs="*", default=[1000, 8000, 27000], help="numbers of dipoles for LAMMPS")
     add("--cutoffs", type=float, nargs="*", default=[3.0, 4.0, 5.0], help="of LAMMPS, sigma (3 4 5)")
-    add("--csv", type=Path, default=Path("docs/dipole_scale.csv"), help="%(default)s")
+    add("--csv", type=Path, default=records.RECORDS / "dipole_scale.csv", help="%(default)s")
     add("--draw", action="store_true", help="only draw what the file has")
     arguments = parser.parse_args()
     if not arguments.draw:
@@ -58,7 +58,7 @@ def main():
             like = [row["settings"] for row in old if row["who"] == PEER and int(row["n"]) == SEARCHED]
             old = sorted(old + measure(n, arguments, like if n > SEARCHED else []), key=lambda row: int(row["n"]))
             records.write(arguments.csv, list(old[0]), old)  # after each: the last take long
-    draw(records.read(arguments.csv), arguments.csv.with_suffix(".png"))
+    draw(records.read(arguments.csv), records.picture_of(arguments.csv))
 
 
 def liquid(n):

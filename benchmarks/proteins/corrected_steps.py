@@ -1,7 +1,7 @@
 """Averages of a peptide in water at long steps, corrected for the step size and compared with those of a small step.
 
-The averages are those of docs/protein_steps.csv over many runs. A correction is computed from the frames of a short run
-at the same settings. This script makes these runs, with the start, integrator and barostat of protein_steps.py, and
+The averages are those of records/protein_steps.csv over many runs. A correction is computed from the frames of a short
+run at the same settings. This script makes these runs, with the start, integrator and barostat of protein_steps.py, and
 stores the corrections in a separate record. Frames are stored in out/benchmarks/corrected_steps, from which an
 interrupted command continues.
 
@@ -24,7 +24,7 @@ import openmm
 import openmm_exactrb as rb
 from benchmarks.common.group_temperatures import Groups
 from benchmarks.common.markdown import table, with_error
-from benchmarks.common.records import DOCS, OUT, Record
+from benchmarks.common.records import OUT, RECORDS, Record
 from benchmarks.common.reported import reported
 from benchmarks.common.starts import simulation_of
 from benchmarks.proteins import protein_steps
@@ -55,7 +55,7 @@ HELD = {"NVT": "constant volume", "NPT": "1 bar"}
 #: Integrators and fs of the table, as they are or corrected.
 SHOWN = [("LangevinMiddle", "2.0", False), ("W2_3m", "8.0", False), ("W2_3m", "8.0", True), ("W2_3m", "4.0", True)]
 COLUMNS = [f"{name}{part}" for name in AVERAGES for part in ("", " error")]
-RECORD = Record(DOCS / "corrected_steps.csv", (*POINT, "ps", "seed"), COLUMNS)
+RECORD = Record(RECORDS / "corrected_steps.csv", (*POINT, "ps", "seed"), COLUMNS)
 
 
 class Kind:
@@ -92,7 +92,7 @@ def frames(run: dict[str, Any]) -> Path:
 
 
 def row_of(run: dict[str, Any]) -> dict[str, Any]:
-    """Return the corrections of a run: U per molecule of water, as in docs/protein_steps.csv."""
+    """Return the corrections of a run: U per molecule of water, as in records/protein_steps.csv."""
     file, row = frames(run), dict(run)
     per = {"U": len(Groups(*protein_steps.molecules(None, run["masses"], OF_ALL["constraints"])[:2]).water)}
     for name in AVERAGES:
@@ -106,9 +106,9 @@ def row_of(run: dict[str, Any]) -> dict[str, Any]:
 
 
 def corrected_steps() -> str:
-    """Return the averages of docs/protein_steps.csv, as they are and corrected, as a table of a page."""
+    """Return the averages of records/protein_steps.csv, as they are and corrected, as a table of a page."""
     known = {(row["integrator"], row["masses"], row["fs"], row["ensemble"]): row for row in RECORD.rows().values()}
-    runs, body = [*protein_steps.record_of(DOCS / "protein_steps.csv").rows().values()], []
+    runs, body = [*protein_steps.record_of(RECORDS / "protein_steps.csv").rows().values()], []
     for (ensemble, held), name in product(HELD.items(), AVERAGES[:-1]):
         cells = []
         for integrator, fs, corrected in SHOWN:

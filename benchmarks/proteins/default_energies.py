@@ -7,7 +7,7 @@ a run of the total energy that a StateDataReporter writes, every 100 steps for w
 alanine dipeptide in water, and `protein` is the protein of --pdb or a helix of 35 alanines in water. Both have the
 default forces of createSystem and constrained bonds to hydrogen, and start either directly from the file or after
 minimisation and equilibration. All runs use the CPU platform with one thread. Results are written to
-docs/default_energies.csv. Each run is a job of an ensemble, so that an interrupted command can be resumed.
+records/default_energies.csv. Each run is a job of an ensemble, so that an interrupted command can be resumed.
 
     python benchmarks/proteins/default_energies.py water
     python benchmarks/proteins/default_energies.py peptide protein --pdb input.pdb --steps 1 2 3 4 --starts 2
@@ -30,7 +30,7 @@ from openmm import app, unit
 import openmm_exactrb as rb
 from benchmarks.common.proteins import PEPTIDE, solvated, solvated_helix
 from benchmarks.common.provenance import OF_RUN, of_run
-from benchmarks.common.records import DOCS, Record
+from benchmarks.common.records import RECORDS, Record
 from benchmarks.common.starts import simulation_of
 from benchmarks.cost.one_line import SMOOTH, TEMPERATURE, box, start_of, system_of
 from openmm_exactrb import ensemble
@@ -110,7 +110,7 @@ def main() -> None:
     add("--first", type=int, default=101, help="seed of the first start (%(default)s)")
     add("--picoseconds", type=float, default=30.0, help="length of a run (%(default)s)")
     add("--out", type=Path, default=Path("out/default_energies"), metavar="FOLDER")
-    add("--record", type=Path, default=DOCS / "default_energies.csv", metavar="CSV", help="%(default)s")
+    add("--record", type=Path, default=RECORDS / "default_energies.csv", metavar="CSV", help="%(default)s")
     args = parser.parse_args()
     record = Record(args.record, RUN, (*FOUND, *OF_RUN), order=itemgetter(*RUN))
     sources = {"water": args.molecules, "peptide": "", "protein": args.pdb}

@@ -3,7 +3,7 @@
 Modes of the solute that are in resonance with the kicks of the nonbonded forces gain energy, which a thermostat
 removes. With a friction g, a solute of n degrees of freedom is hotter than the thermostat by P/(n k g), where P is the
 power. All hydrogens have 3 amu, and bonded forces have inner steps. For each start, the script prints the slope of the
-total energy over 3 ps, and adds the slope to docs/long_step_heating.csv unless the record contains the run.
+total energy over 3 ps, and adds the slope to records/long_step_heating.csv unless the record contains the run.
 
     python benchmarks/proteins/long_step_heating.py --pdb villin.pdb
 """
@@ -21,11 +21,11 @@ from openmm import app
 from benchmarks.common.energies import along
 from benchmarks.common.group_temperatures import Groups
 from benchmarks.common.provenance import OF_RUN, of_run
-from benchmarks.common.records import DOCS, Record
+from benchmarks.common.records import RECORDS, Record
 from benchmarks.common.starts import simulation_of
 from benchmarks.proteins import protein_steps
 
-TABLE = DOCS / "long_step_heating.csv"
+TABLE = RECORDS / "long_step_heating.csv"
 RUN = ("solute", "freedom", "scheme", "fs", "start")
 PICOSECONDS, LOOKED, APART = 3.0, 0.07, 0.5  # ps of a run, between two looks, and between two starts
 

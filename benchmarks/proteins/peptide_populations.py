@@ -8,7 +8,7 @@ of each type are those with the umbrella potential.
 OpenMM's integrators simulate one peptide on the Reference platform. Integrators of this package simulate several copies
 in one System on the CPU platform, for which Python takes as long as for one copy. The copies are 12 nm apart and do not
 interact, because the cutoff is 2 nm. Errors are from a jackknife over blocks in time of each peptide. Runs that
-docs/peptide_populations.csv contains are not repeated.
+records/peptide_populations.csv contains are not repeated.
 
     python benchmarks/proteins/peptide_populations.py --integrators LangevinMiddle --fs 1 2 4 --runs 2
     python benchmarks/proteins/peptide_populations.py --integrators W2_3m BAOA --fs 4 6 8 --runs 2
@@ -31,7 +31,7 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 from benchmarks.common.proteins import PEPTIDE
-from benchmarks.common.records import DOCS, Record, Row
+from benchmarks.common.records import RECORDS, Record, Row
 from benchmarks.common.starts import ONE_THREAD, R, context_of, masses_of, positions_and_velocities
 from benchmarks.common.structure import backbone, dihedrals, regions
 from benchmarks.proteins.protein_steps import HEAVY, KINDS, OPENMM, TEMPERATURE
@@ -191,7 +191,7 @@ def parse() -> argparse.Namespace:
     add("--friction", nargs="+", type=float, default=[5.0], metavar="1/PS")
     add("--nanoseconds", type=float, default=32.0, help="of a run, over all peptides (%(default)s)")
     add("--runs", type=int, default=1, help="runs a point, each with its own seed (%(default)s)")
-    add("--record", type=Path, default=DOCS / "peptide_populations.csv", metavar="CSV", help="%(default)s")
+    add("--record", type=Path, default=RECORDS / "peptide_populations.csv", metavar="CSV", help="%(default)s")
     add("--finished", action="store_true", help="run nothing: means and errors")
     return parser.parse_args()
 

@@ -8,9 +8,9 @@ linear and angular momenta of water molecules, for the solute as a whole, and fo
 of its groups X-H, X-H2 and X-H3, which constraints define. "Reported" temperatures are those of the velocities of a
 State.
 
-Every point has several runs with different seeds, whose scatter determines the errors. Runs that docs/protein_steps.csv
-contains are not repeated, so that an interrupted command can be resumed and the record extended. A run that diverged is
-recorded as nan.
+Every point has several runs with different seeds, whose scatter determines the errors. Runs that
+records/protein_steps.csv contains are not repeated, so that an interrupted command can be resumed and the record
+extended. A run that diverged is recorded as nan.
 
     python benchmarks/proteins/protein_steps.py --integrators LangevinMiddle --fs 1 2 4 --masses solute --runs 10
     python benchmarks/proteins/protein_steps.py --integrators W2_3m --fs 8 --masses all --runs 10
@@ -41,7 +41,7 @@ from benchmarks.common.group_temperatures import Groups
 from benchmarks.common.pictures import plt
 from benchmarks.common.proteins import FORCE_FIELD, PEPTIDE
 from benchmarks.common.provenance import OF_RUN, of_run
-from benchmarks.common.records import DOCS, Record, Row
+from benchmarks.common.records import RECORDS, Record, Row, picture_of
 from benchmarks.common.starts import canonical, masses_of, positions_and_velocities, simulation_of, thermostat
 from benchmarks.common.structure import (
     CONFORMATIONS,
@@ -338,7 +338,7 @@ def parse() -> argparse.Namespace:
     add("--runs", type=int, default=10, help="runs a point, each with its own seed (%(default)s)")
     add("--picoseconds", type=float, default=100.0, help="length of a run (%(default)s)")
     add("--workers", type=int, default=1, help="processes (%(default)s)")
-    add("--record", type=Path, default=DOCS / "protein_steps.csv", metavar="CSV", help="%(default)s")
+    add("--record", type=Path, default=RECORDS / "protein_steps.csv", metavar="CSV", help="%(default)s")
     add("--finished", action="store_true", help="run nothing: means, errors and a picture")
     return parser.parse_args()
 
@@ -348,7 +348,7 @@ def main() -> None:
     record = record_of(args.record)
     if args.finished:
         print("\n".join(summary(record.rows())))
-        draw(record.rows(), args.record.with_suffix(".png"))
+        draw(record.rows(), picture_of(args.record))
         return
     axes = itertools.product(range(1, args.runs + 1), args.integrators, args.masses, args.fs, args.friction)
     jobs = {}

@@ -5,9 +5,9 @@ createRigidBodies of OpenMM's cookbook assigns the mass of a body to four of its
 them, and turns the other particles into virtual sites. The name `concentrated` refers to this recipe. VerletIntegrator,
 which it uses, has a constraint tolerance of 1e-8.
 
-    python benchmarks/proteins/rigid_domains.py gyration --ns 100  # docs/rigid_domains_gyration.csv, continued
-    python benchmarks/proteins/rigid_domains.py energies           # docs/rigid_domains.csv
-    python benchmarks/proteins/rigid_domains.py cost               # docs/rigid_domains_cost.csv
+    python benchmarks/proteins/rigid_domains.py gyration --ns 100  # records/rigid_domains_gyration.csv, continued
+    python benchmarks/proteins/rigid_domains.py energies           # records/rigid_domains.csv
+    python benchmarks/proteins/rigid_domains.py cost               # records/rigid_domains_cost.csv
     python benchmarks/proteins/rigid_domains.py rotation           # of a lone molecule as a whole: printed
 
 Times are processor times on the CPU platform with one thread, as medians of rounds in which the candidates alternate.
@@ -27,12 +27,12 @@ import openmm
 import openmm_exactrb as rb
 from benchmarks.common.clocks import in_turns
 from benchmarks.common.provenance import OF_RUN, PROVENANCE, of_run, provenance
-from benchmarks.common.records import DOCS, ROOT, read, write
+from benchmarks.common.records import RECORDS, ROOT, read, write
 from benchmarks.common.starts import R
 
 MODEL = SimpleNamespace(**runpy.run_path(str(ROOT / "examples" / "rigid_domains.py")))
 CPU = openmm.Platform.getPlatform("CPU")
-GYRATION, ENERGIES, COST = (DOCS / f"rigid_domains{part}.csv" for part in ("_gyration", "", "_cost"))
+GYRATION, ENERGIES, COST = (RECORDS / f"rigid_domains{part}.csv" for part in ("_gyration", "", "_cost"))
 STEP, SAMPLE, FRICTION = 0.03, 9.0, 0.1  # ps, ps, 1/ps
 WARM, BLOCKS = 2000.0, 10  # ps that are left out, and blocks of the rest
 INTERVALS, DURATION, EVERY = (10, 20, 30, 50, 80, 110), 30.0, 0.1  # fs, ps, ps

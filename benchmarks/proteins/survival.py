@@ -5,8 +5,8 @@ settings advance in turns, a part of a run at a time, so that all of them are eq
 stopped. Every run is an `rb.Run` in a folder: the same command continues it from its last checkpoint, with its random
 numbers, and a larger --picoseconds makes it longer. A run that fails is not repeated, and counts.
 
-After every part, docs/protein_survival.csv contains the means over each run so far, without its first 4 ps, with errors
-from ten blocks, and whether the run has failed. RMSD is that of the C-alpha atoms from the start.
+After every part, records/protein_survival.csv contains the means over each run so far, without its first 4 ps, with
+errors from ten blocks, and whether the run has failed. RMSD is that of the C-alpha atoms from the start.
 
     python benchmarks/proteins/survival.py runs/peptide --seeds 1 2 3 --picoseconds 50
     python benchmarks/proteins/survival.py runs/villin --pdb villin.pdb --picoseconds 2000
@@ -29,7 +29,7 @@ import openmm_exactrb as rb
 from benchmarks.common import records
 from benchmarks.common.group_temperatures import Groups
 from benchmarks.common.provenance import commit
-from benchmarks.common.records import DOCS, Record
+from benchmarks.common.records import RECORDS, Record
 from benchmarks.common.starts import positions_and_velocities, simulation_of
 from benchmarks.proteins.protein_steps import (
     BURN,
@@ -180,7 +180,7 @@ def main() -> None:
     add("--seeds", nargs="+", type=int, default=[1], help="%(default)s")
     add("--picoseconds", type=float, default=100.0, help="length of a run (%(default)s)")
     add("--part", type=float, default=4.8, metavar="PS", help="of a run before the next one's turn (%(default)s)")
-    add("--record", type=Path, default=DOCS / "protein_survival.csv", metavar="CSV", help="%(default)s")
+    add("--record", type=Path, default=RECORDS / "protein_survival.csv", metavar="CSV", help="%(default)s")
     args = parser.parse_args()
     record = Record(args.record, RUN, COLUMNS)
     courses = [Course(args.folder, args.pdb, *of) for of in itertools.product(args.settings, args.seeds)]

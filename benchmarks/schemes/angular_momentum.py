@@ -6,7 +6,7 @@ an error in the angular momentum, which does not accumulate.
 
 The droplet consists of 16 TIP3P molecules on the Reference platform. The script records the largest relative change of
 the total angular momentum in three runs from different starts, with the times given by `--interval` and
-`--picoseconds`. The table is written to docs/angular_momentum.csv, where rows of other schemes are preserved.
+`--picoseconds`. The table is written to records/angular_momentum.csv, where rows of other schemes are preserved.
 
     python benchmarks/schemes/angular_momentum.py
     python benchmarks/schemes/angular_momentum.py --schemes W2_5 W2_4g
@@ -21,12 +21,12 @@ import numpy as np
 
 import openmm_exactrb as rb
 from benchmarks.common import droplets
-from benchmarks.common.records import DOCS, read, write
+from benchmarks.common.records import RECORDS, read, write
 from benchmarks.common.starts import context_of
 from openmm_exactrb import ensemble
 from openmm_exactrb.mathematics.quaternions import matrix
 
-TABLE = DOCS / "angular_momentum.csv"
+TABLE = RECORDS / "angular_momentum.csv"
 COLUMNS = ("scheme", "force_interval_ps", "picoseconds", "starts", "change")
 MOLECULES, MODEL = 16, "tip3p"
 

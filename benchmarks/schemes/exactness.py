@@ -2,7 +2,7 @@
 
 Each seed defines one start of a droplet of 27 TIP3P molecules, from which runs last 10 ps. Runs are jobs of
 `openmm_exactrb.ensemble`, so that an interrupted command can be resumed. Errors of each start are written to
-docs/exactness.csv.
+records/exactness.csv.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ import numpy as np
 
 import openmm_exactrb as rb
 from benchmarks.common.energies import along
-from benchmarks.common.records import DOCS, Record
+from benchmarks.common.records import RECORDS, Record
 from benchmarks.common.starts import canonical, context_of, thermostat
 
 RATES = (500, 1000, 2000)
 SCHEMES = ("V2", "W2_1", "W4_4", "W4_5")
 ROTORS = ("mclachlan_reich", "exact")
-RECORD = Record(DOCS / "exactness.csv", ("scheme", "rotor", "forces_per_ps", "ps", "seed"), ("std",))
+RECORD = Record(RECORDS / "exactness.csv", ("scheme", "rotor", "forces_per_ps", "ps", "seed"), ("std",))
 
 
 def error(scheme, rotor, rate, seed, n=27, duration=2.0, platform="Reference"):

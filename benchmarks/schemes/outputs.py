@@ -10,7 +10,7 @@ energy without being a change of coordinates. The mean kinetic energies are ther
 standard deviation of the energy with the exact inverse.
 
 Each run is a job of an ensemble, so that an interrupted command can be resumed. The table is written to
-docs/outputs.csv.
+records/outputs.csv.
 
     python benchmarks/schemes/outputs.py --starts 6 --picoseconds 30
 """
@@ -29,7 +29,7 @@ from openmm import app
 import openmm_exactrb as rb
 from benchmarks.common import droplets
 from benchmarks.common.provenance import OF_RUN, of_run
-from benchmarks.common.records import DOCS, Record
+from benchmarks.common.records import RECORDS, Record
 from openmm_exactrb import ensemble
 
 MOLECULES, MODEL = 64, "tip3p"
@@ -84,7 +84,7 @@ def main() -> None:
     parser.add_argument("--picoseconds", type=float, default=30.0)
     parser.add_argument("--rates", type=int, nargs="+", default=[250, 500, 1000], help="forces per ps")
     parser.add_argument("--out", type=Path, default=Path("out/outputs"), metavar="FOLDER")
-    parser.add_argument("--record", type=Path, default=DOCS / "outputs.csv", metavar="CSV", help="%(default)s")
+    parser.add_argument("--record", type=Path, default=RECORDS / "outputs.csv", metavar="CSV", help="%(default)s")
     options = parser.parse_args()
     record = Record(options.record, RUN, (*FOUND, *OF_RUN))
     seeds = range(options.first, options.first + options.starts)

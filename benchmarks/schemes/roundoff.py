@@ -5,9 +5,9 @@
    OpenMM's VerletIntegrator with SETTLE from the same starts, with as many force evaluations per unit of time.
 
 The results of each start are stored in out/benchmarks/roundoff/, from which an interrupted run continues. Root mean
-squares over the starts are written to docs/roundoff.csv, in which rows of variants without results stay, and to
-docs/roundoff.png. Rounded states, and tops, are not those of an engine but of the loop in Python, "host". --quick runs
-a hundredth of the steps and uses a separate folder.
+squares over the starts are written to records/roundoff.csv, in which rows of variants without results stay, and to
+docs/pictures/roundoff.png. Rounded states, and tops, are not those of an engine but of the loop in Python, "host".
+--quick runs a hundredth of the steps and uses a separate folder.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import openmm
 import openmm_exactrb as rb
 from benchmarks.common.pictures import plt
 from benchmarks.common.provenance import OF_RUN, commit, of_run, of_runs
-from benchmarks.common.records import DOCS, OUT, read, write
+from benchmarks.common.records import OUT, RECORDS, picture_of, read, write
 from benchmarks.common.starts import R, context_of, masses_of, positions_and_velocities
 from benchmarks.paper import problems
 from openmm_exactrb.mathematics.compensated import exactly
@@ -334,7 +334,7 @@ def main():
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--draw", action="store_true", help="only draw the table that is there")
     parser.add_argument("--truncation", action="store_true", help="only measure the error of the scheme")
-    parser.add_argument("--record", type=Path, default=DOCS / "roundoff.csv", metavar="CSV", help="%(default)s")
+    parser.add_argument("--record", type=Path, default=RECORDS / "roundoff.csv", metavar="CSV", help="%(default)s")
     options = parser.parse_args()
     fraction = 100 if options.quick else 1
     folder = OUT / ("roundoff_quick" if options.quick else "roundoff")
@@ -346,7 +346,7 @@ def main():
     table = folder / "roundoff.csv" if options.quick else options.record
     if not options.draw:
         record(folder, fraction, table)
-    draw(table, table.with_suffix(".png"))
+    draw(table, picture_of(table))
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ that an interrupted command can be resumed:
    10 ps, relative to that of Verlet, over training starts. They evaluate the points of the first stage and run
    Nelder-Mead minimisations from the best of them.
 3. `judge` runs 30 ps from starts that no other stage uses, with droplets of other sizes. Errors of the schemes of the
-   catalogue are written to docs/droplet_models.csv.
+   catalogue are written to records/droplet_models.csv.
 
     python benchmarks/schemes/search.py --rates 500 1000 --families BACAB BABABAB --best 2 --budget 120
     python benchmarks/schemes/search.py --judge W2_4 W2_5 --rates 500 --models tip3p --molecules 64 --starts 3
@@ -33,7 +33,7 @@ from scipy.optimize import minimize
 import openmm_exactrb as rb
 from benchmarks.common import droplets
 from benchmarks.common.energies import variance
-from benchmarks.common.records import DOCS, Record
+from benchmarks.common.records import RECORDS, Record
 from benchmarks.common.starts import R
 from openmm_exactrb.schemes import force_gradient
 from openmm_exactrb.schemes import scheme as look_up
@@ -51,7 +51,7 @@ FAMILIES = (
 )
 LOST = 50.0  # the objective of what is unstable
 RECORD = Record(
-    DOCS / "droplet_models.csv",
+    RECORDS / "droplet_models.csv",
     ("model", "molecules", "forces_per_ps", "scheme", "ps", "starts"),
     ("std_2_ps", "std_10_ps", "std_all", "of_oscillators"),
 )

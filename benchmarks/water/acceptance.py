@@ -1,8 +1,8 @@
 """The acceptance rate of hybrid Monte Carlo for rigid water in a PME box, for several schemes and steps.
 
 A box of TIP3P at 300 K runs on the CPU platform, with proposals of one step of the scheme and a friction of 5/ps. The
-record, docs/acceptance.csv, contains the fraction of accepted proposals with its error, and the force evaluations per
-proposal. --quick prints these numbers for 216 molecules and few proposals.
+record, records/acceptance.csv, contains the fraction of accepted proposals with its error, and the force evaluations
+per proposal. --quick prints these numbers for 216 molecules and few proposals.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ import numpy as np
 from openmm import app
 
 import openmm_exactrb as rb
-from benchmarks.common.records import DOCS, Record
+from benchmarks.common.records import RECORDS, Record
 from benchmarks.common.starts import canonical, context_of, thermostat
 
 SETTINGS = (("V2", 3.0), ("S2_2", 3.0), ("S2_2", 4.0), ("S2_2", 6.0), ("W2_4", 4.0), ("W4_5", 2.0))  # fs per force
 RECORD = Record(
-    DOCS / "acceptance.csv", ("molecules", "scheme", "fs"), ("proposals", "accepted", "error", "forces_per_proposal")
+    RECORDS / "acceptance.csv", ("molecules", "scheme", "fs"), ("proposals", "accepted", "error", "forces_per_proposal")
 )
 
 

@@ -28,7 +28,7 @@ import openmm
 from openmm import app
 
 import openmm_exactrb as rb
-from benchmarks.common.records import DOCS, OUT, Record, Row
+from benchmarks.common.records import OUT, RECORDS, Record, Row
 from benchmarks.common.reported import reported
 from benchmarks.common.starts import REPEATED
 
@@ -49,7 +49,7 @@ OF_BOX = "potential energy", "enthalpy"
 NAMES, PARTS = tuple(UNITS), ("", " corrected", " error", " correction error", " systematic error")
 OFFSET = "pressure offset", "pressure offset error", "pressure offset systematic error"
 COLUMNS = [*(f"{name}{part}" for name in NAMES for part in PARTS), *OFFSET]
-RECORD = Record(DOCS / "averages.csv", KEY, COLUMNS)
+RECORD = Record(RECORDS / "averages.csv", KEY, COLUMNS)
 
 
 def simulation_of(run: dict[str, Any], platform: str) -> app.Simulation:

@@ -1,9 +1,9 @@
 """Averages of liquid water at 0.5 to 6 fs per force evaluation, without and with the correction for the step size.
 
-The averages are those of docs/equipartition.csv, over 1 ns per point with a friction of 5/ps. To second order, a
+The averages are those of records/equipartition.csv, over 1 ns per point with a friction of 5/ps. To second order, a
 correction consists of equilibrium averages, which are the same for all schemes and steps, and of coefficients of the
 scheme. The equilibrium averages are computed from the frames of a run with LangevinMiddleIntegrator at 4 fs, and used
-for all schemes and steps; docs/corrected_water.csv contains the corrections. Frames are stored in
+for all schemes and steps; records/corrected_water.csv contains the corrections. Frames are stored in
 out/benchmarks/averages, from which an interrupted command continues.
 
     python benchmarks/water/corrected_water.py --models spce tip4p2005 --ps 300 --seeds 1
@@ -26,7 +26,7 @@ import numpy as np
 
 import openmm_exactrb as rb
 from benchmarks.common.markdown import table, with_error
-from benchmarks.common.records import DOCS, Record
+from benchmarks.common.records import RECORDS, Record
 from benchmarks.water import averages, equipartition_record
 from benchmarks.water.equipartition_record import AGAIN, FRICTION, KELVIN, LFM, NAMES, WHOLE
 from benchmarks.water.equipartition_record import RECORD as RUNS
@@ -35,12 +35,12 @@ from openmm_exactrb.schemes import scheme_for_thermostat, splitting
 from openmm_exactrb.schemes.step_errors import step_errors
 from openmm_exactrb.schemes.thermostatted import with_thermostat
 
-#: In docs/equipartition.csv, W2_3m has positions at its next kick, in later runs at the end of its step. In both, a
+#: In records/equipartition.csv, W2_3m has positions at its next kick, in later runs at the end of its step. In both, a
 #: barostat acts at the next kick.
 NEXT_KICK, AT_END = 0.135, "W2_3m, at the end"
 MOLECULES, FRAME = 216, 0.2  # of a box; ps between two frames
 METHODS, STEPS = (LFM, "BAOAB", "W2_3m", AT_END), (0.5, 1.0, 2.0, 4.0, 6.0)
-#: Quantities of docs/equipartition.csv by ensemble, their names here, and whether they are for a molecule.
+#: Quantities of records/equipartition.csv by ensemble, their names here, and whether they are for a molecule.
 QUANTITIES = {
     "NVT": (("U", "potential energy", True),),
     "NPT": (("U", "potential energy", True), ("density", "density", False)),
@@ -50,7 +50,7 @@ BAR, MOLAR_MASS = 0.1, 18.0154  # kJ/mol of 1 bar in a molar volume of 1 L; g/mo
 HELD = {"NVT": "constant volume", "NPT": "1 bar"}
 COLUMNS = [f"{name}{part}" for name in ("U", "density") for part in ("", " error")]
 RECORD = Record(
-    DOCS / "corrected_water.csv",
+    RECORDS / "corrected_water.csv",
     ("model", "ensemble", "method", "fs", "ps", "seed"),
     COLUMNS,
     order=lambda row: (row["model"], [*HELD].index(row["ensemble"]), METHODS.index(row["method"]), float(row["fs"])),

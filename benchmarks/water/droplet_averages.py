@@ -23,7 +23,7 @@ from openmm import app
 
 import openmm_exactrb as rb
 from benchmarks.common.markdown import table, with_error
-from benchmarks.common.records import DOCS, OUT, Record, Row
+from benchmarks.common.records import OUT, RECORDS, Record, Row
 from benchmarks.common.reported import error_over_runs, reported
 from benchmarks.common.starts import REPEATED
 from openmm_exactrb.averages.record import read
@@ -43,7 +43,7 @@ POINTS = [
 ]
 KEY = ("integrator", "scheme", "fs", "hydrogen", "ns", "seed")
 COLUMNS = ("energy", "energy error", "corrected", "corrected error", "correction error", "systematic error")
-RECORD = Record(DOCS / "droplet_averages.csv", KEY, COLUMNS)
+RECORD = Record(RECORDS / "droplet_averages.csv", KEY, COLUMNS)
 
 
 def droplets(hydrogen: float) -> tuple[app.Topology, openmm.System, np.ndarray]:

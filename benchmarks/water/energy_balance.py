@@ -1,8 +1,8 @@
 """Conserved quantities at constant temperature: the total energy at the end of a step, and the energy balance.
 
 A droplet of 27 rigid TIP3P molecules runs for 0.4 ps from one state at 300 K, weakly coupled to the thermostat, at
-three step sizes. The script writes to docs/energy_balance.csv the standard deviations, in kJ/mol, of the sum of kinetic
-and potential energy and of the energy balance, which is `effectiveEnergy`.
+three step sizes. The script writes to records/energy_balance.csv the standard deviations, in kJ/mol, of the sum of
+kinetic and potential energy and of the energy balance, which is `effectiveEnergy`.
 
     python benchmarks/water/energy_balance.py
 """
@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 from openmm import app, unit
 
 import openmm_exactrb as rb
-from benchmarks.common.records import DOCS, Record
+from benchmarks.common.records import RECORDS, Record
 
 Array = NDArray[np.float64]
 
 KELVIN, WEAK = 300.0, 1e-9
 MOLECULES, DURATION, EVERY = 27, 0.4, 0.004
 STEPS = 0.002, 0.001, 0.0005
-RECORD = Record(DOCS / "energy_balance.csv", ("integrator", "fs"), ("sum", "balance"))
+RECORD = Record(RECORDS / "energy_balance.csv", ("integrator", "fs"), ("sum", "balance"))
 CASES = {
     "Langevin, BAOA": lambda h: rb.ExactRigidBodyLangevinIntegrator(KELVIN, WEAK, h),
     "Langevin, S2_2": lambda h: rb.ExactRigidBodyLangevinIntegrator(KELVIN, WEAK, 2.0 * h, "S2_2"),

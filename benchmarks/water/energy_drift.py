@@ -1,7 +1,7 @@
 """The energy of a periodic box of TIP3P over 300 ps: how far it moves from its start, and which setting moves it.
 
 The box has PME, as in water_boxes.py: each start is drawn from the canonical distribution on the CPU platform, and all
-methods share it. A row of docs/energy_drift.csv is one run: the standard deviation of the total energy per molecule
+methods share it. A row of records/energy_drift.csv is one run: the standard deviation of the total energy per molecule
 within windows of 2 to 300 ps, and the slope of a line through it. Runs that the record contains are not repeated. The
 energies of a run are kept in out/energy_drift.
 
@@ -27,7 +27,7 @@ from openmm import app
 import openmm_exactrb as rb
 from benchmarks.common.energies import along, variance
 from benchmarks.common.provenance import of_run
-from benchmarks.common.records import DOCS, Record
+from benchmarks.common.records import RECORDS, Record
 from benchmarks.common.starts import canonical, context_of, put, thermostat
 
 OUT = Path("out/energy_drift")
@@ -100,7 +100,7 @@ def main() -> None:
     add("--platform", default="CPU", help="of double precision: Reference (%(default)s)")
     add("--starts", type=int, nargs="+", default=[1, 2, 3], help="their seeds (%(default)s)")
     add("--picoseconds", type=float, default=300.0, help="length of a run (%(default)s)")
-    add("--record", type=Path, default=DOCS / "energy_drift.csv", metavar="CSV", help="%(default)s")
+    add("--record", type=Path, default=RECORDS / "energy_drift.csv", metavar="CSV", help="%(default)s")
     args = parser.parse_args()
     record = Record(args.record, RUN, (*MEASURED, "engine", "openmm", "commit"))
     fixed = {"molecules": args.molecules, "cutoff": args.cutoff, "width": args.width, "tolerance": args.tolerance}

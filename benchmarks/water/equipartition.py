@@ -11,10 +11,10 @@ T_rot of LangevinMiddleIntegrator is computed twice: from the reported velocitie
 which leaves only the linear and angular momentum of each molecule.
 
 A point consists of several runs with different seeds. Each run is a job of an ensemble and a row of the record
-docs/equipartition.csv. Runs in the record are not repeated, so that the study can continue on another machine. Errors
-are those of the mean of independent runs. The default study, 1 ns per point of 216 molecules, takes 86 million force
-evaluations; --models, --ensembles, --methods, --intervals and --runs select a part of it. Several commands run fastest
-with one core and one worker each: taskset -c 0.
+records/equipartition.csv. Runs in the record are not repeated, so that the study can continue on another machine.
+Errors are those of the mean of independent runs. The default study, 1 ns per point of 216 molecules, takes 86 million
+force evaluations; --models, --ensembles, --methods, --intervals and --runs select a part of it. Several commands run
+fastest with one core and one worker each: taskset -c 0.
 """
 
 from __future__ import annotations

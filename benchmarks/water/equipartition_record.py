@@ -1,6 +1,6 @@
 """The record of the study of equipartition: the results of each run, the means of points, and their tables.
 
-A row of docs/equipartition.csv contains the settings and the means of one run. The tables of the documentation are
+A row of records/equipartition.csv contains the settings and the means of one run. The tables of the documentation are
 generated from this record.
 """
 
@@ -17,10 +17,10 @@ from benchmarks.common import records
 from benchmarks.common.markdown import markdown, with_error
 from benchmarks.common.provenance import OF_RUN
 
-RECORD = records.DOCS / "equipartition.csv"
+RECORD = records.RECORDS / "equipartition.csv"
 #: Later runs: in those of RECORD, W2_3m has positions at its next kick, now at the end of its step. A barostat acts at
 #: the next kick in both.
-AGAIN = records.DOCS / "water_densities.csv"
+AGAIN = records.RECORDS / "water_densities.csv"
 LFM = "LangevinMiddle"
 NAMES = {"spce": "SPC/E", "tip4p2005": "TIP4P/2005", "tip3p": "TIP3P", "tip4pew": "TIP4P-Ew"}
 MEASURED = ("T_tr", "T_rot - T_tr", "other T_rot - T_tr", "U", "density", "acceptance")

@@ -22,7 +22,7 @@ from openmm import app
 import openmm_exactrb as rb
 from benchmarks.common.group_temperatures import Groups
 from benchmarks.common.provenance import OF_RUN, of_run
-from benchmarks.common.records import DOCS, Record
+from benchmarks.common.records import RECORDS, Record
 from benchmarks.common.starts import R, context_of, put, simulation_of, thermostat
 from benchmarks.proteins.protein_steps import KINDS, molecules, start_of
 from benchmarks.proteins.protein_steps import TEMPERATURE as OF_SOLUTE
@@ -94,7 +94,7 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=5.0, metavar="PS", help="of each (%(default)s)")
     parser.add_argument("--solute", action="store_true", help="how a drift with inner steps would heat a solute")
     parser.add_argument("--pdb", type=Path, help="a solvated protein, instead of alanine dipeptide")
-    parser.add_argument("--record", type=Path, default=DOCS / "reading_point.csv", metavar="CSV", help="%(default)s")
+    parser.add_argument("--record", type=Path, default=RECORDS / "reading_point.csv", metavar="CSV", help="%(default)s")
     args = parser.parse_args()
     if args.solute:
         heating(args)

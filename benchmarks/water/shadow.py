@@ -22,7 +22,7 @@ import openmm
 from openmm import app
 
 import openmm_exactrb as rb
-from benchmarks.common.records import DOCS, Record
+from benchmarks.common.records import RECORDS, Record
 from benchmarks.common.starts import R, context_of
 from openmm_exactrb.schemes import Scheme, shadow, splitting
 from openmm_exactrb.substeps import HEAT_EXCHANGE
@@ -30,7 +30,7 @@ from openmm_exactrb.substeps import HEAT_EXCHANGE
 TEMPERATURE, APART = 298.15, 15.0  # K; how far two runs are from it
 STEP, WINDOW = 0.006, 400  # ps; steps of a window of the spectrum
 PREDICTED = "T_rot - T_tr", "dU oscillators", "dU more", "error", "rotation beyond stability"
-RECORD = Record(DOCS / "shadow.csv", ("model", "masses", "scheme", "fs"), PREDICTED)
+RECORD = Record(RECORDS / "shadow.csv", ("model", "masses", "scheme", "fs"), PREDICTED)
 
 
 def started(model: str, heavy: bool, integrator: rb.ExactRigidBodyLangevinIntegrator) -> openmm.Context:

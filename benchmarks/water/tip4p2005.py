@@ -1,16 +1,17 @@
 """Density and enthalpy of TIP4P/2005 at 1 bar as functions of the step: a picture and tables of three records.
 
-The runs are those of equipartition.py at constant pressure. With 216 molecules, docs/equipartition.csv contains runs at
-298.15 K, and docs/water_densities.csv runs at another temperature and with other integrators.
-docs/water_densities_512.csv contains runs of 512 molecules. The enthalpy is computed
-as a user would: the sum of the potential energy, the kinetic energy of the velocities of a State, and the product of
-pressure and volume. Corrections for the step are those of corrected_water.py.
+The runs are those of equipartition.py at constant pressure. With 216 molecules, records/equipartition.csv contains runs
+at 298.15 K, and records/water_densities.csv runs at another temperature and with other integrators.
+records/water_densities_512.csv contains runs of 512 molecules. The enthalpy is computed as a user would: the sum of the
+potential energy, the kinetic energy of the velocities of a State, and the product of pressure and volume. Corrections
+for the step are those of corrected_water.py.
 
-    python benchmarks/water/equipartition.py --models tip4p2005 --ensembles NPT --record docs/water_densities.csv
-    python benchmarks/water/equipartition.py --models tip4p2005 --ensembles NPT --record docs/water_densities.csv \
-        --methods hybrid --intervals 4 --kelvin 277.15
-    python benchmarks/water/equipartition.py --models tip4p2005 --ensembles NPT --record docs/water_densities_512.csv \
-        --methods W2_3m --intervals 4 --molecules 512
+    python benchmarks/water/equipartition.py --models tip4p2005 --ensembles NPT \
+        --record benchmarks/records/water_densities.csv
+    python benchmarks/water/equipartition.py --models tip4p2005 --ensembles NPT \
+        --record benchmarks/records/water_densities.csv --methods hybrid --intervals 4 --kelvin 277.15
+    python benchmarks/water/equipartition.py --models tip4p2005 --ensembles NPT \
+        --record benchmarks/records/water_densities_512.csv --methods W2_3m --intervals 4 --molecules 512
     python benchmarks/water/tip4p2005.py
 """
 
@@ -23,13 +24,13 @@ import numpy as np
 
 from benchmarks.common.markdown import table, with_error
 from benchmarks.common.pictures import plt
-from benchmarks.common.records import DOCS
+from benchmarks.common.records import PICTURES, RECORDS
 from benchmarks.common.starts import R
 from benchmarks.water import corrected_water
 from benchmarks.water.corrected_water import BAR, MOLAR_MASS
 from benchmarks.water.equipartition_record import AGAIN, FRICTION, KELVIN, LFM, RECORD, mean_and_error, read
 
-LARGER = DOCS / "water_densities_512.csv"
+LARGER = RECORDS / "water_densities_512.csv"
 MOLECULES = 216  # in the other records
 STEPS = (0.5, 1.0, 2.0, 4.0)  # fs per force evaluation
 QUANTITIES = {"density": ("density (kg/m³)", 1), "enthalpy": ("enthalpy (kJ/mol per molecule)", 2)}
@@ -117,7 +118,7 @@ def draw() -> None:
     panels[1].xaxis.set_major_formatter("{x:g}")
     panels[1].set_xlabel("time per force evaluation (fs)")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=9)
-    figure.savefig(DOCS / "tip4p2005.png", dpi=150)
+    figure.savefig(PICTURES / "tip4p2005.png", dpi=150)
 
 
 if __name__ == "__main__":

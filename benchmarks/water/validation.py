@@ -21,7 +21,7 @@ A point consists of runs with different seeds. Each run is a file in the folder 
 computed again, so that several commands with different seeds can share the work. At the end, all files of these
 settings are tested.
 
-    python benchmarks/water/validation.py --seeds 1 2 3 4 --workers 2 --table docs/physical_validation.csv
+    python benchmarks/water/validation.py --seeds 1 2 3 4 --workers 2 --table benchmarks/records/physical_validation.csv
     python benchmarks/water/validation.py --integrators W2_3m --interval 8 --seeds 1 2 --length 100
     python benchmarks/water/validation.py --seeds          # only tests the existing files
 """

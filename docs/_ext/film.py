@@ -1,4 +1,4 @@
-"""Three free water molecules by Verlet and by the exact rotation, docs/tumbling.gif: ``python docs/_ext/film.py``."""
+"""Three free water molecules by Verlet and by the exact rotation, a moving picture: ``python docs/_ext/film.py``."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from openmm_exactrb.mathematics.quaternions import rotation_matrix
 mpl.use("Agg")
 import matplotlib.pyplot as plt
 
-OUT = Path("docs/tumbling.gif")
+OUT = Path("docs/pictures/tumbling.gif")
 STEP = 0.008  # ps
 EVERY, FRAMES = 5, 25  # steps from one picture to the next, and pictures of a scene
 SCENES = (0.0, 20.0, 100.0)  # ps

@@ -22,7 +22,7 @@ README = (BENCHMARKS / "README.md").read_text(encoding="utf-8")
 SCRIPTS = sorted(str(file.relative_to(BENCHMARKS)) for file in BENCHMARKS.rglob("*.py") if file.name != "__init__.py")
 #: Script, question, options, time and record of each row of a table.
 ROWS = [[cell.strip() for cell in line.split("|")[1:-1]] for line in README.splitlines() if line.startswith("| `")]
-RECORDS = [record for *_, cell in ROWS for record in re.findall(r"`(.*?)`", cell)]
+WRITTEN = [file for *_, cell in ROWS for file in re.findall(r"`(.*?)`", cell)]
 
 
 def test_the_readme_lists_every_script_with_its_question():
@@ -37,13 +37,19 @@ def test_the_readme_lists_every_script_with_its_question():
 
 
 def test_every_record_that_it_names_is_there():
-    assert [record for record in RECORDS if not (ROOT / record).exists()] == []
+    homes = {True: ROOT, False: BENCHMARKS}
+    assert [file for file in WRITTEN if not (homes[file.startswith("docs/")] / file).exists()] == []
 
 
 def test_every_table_of_the_documentation_has_its_script():
-    by_examples = {"docs/dielectric.csv", "docs/ellipsoids.csv", "docs/stockmayer_fluid.csv"}
-    found = {f"docs/{file.name}" for file in (ROOT / "docs").glob("*.csv")} - by_examples
-    assert found == {record for record in RECORDS if record.endswith(".csv")}
+    by_examples = {f"records/{name}.csv" for name in ("dielectric", "ellipsoids", "stockmayer_fluid")}
+    found = {f"records/{file.name}" for file in records.RECORDS.iterdir()} - by_examples
+    assert found == {file for file in WRITTEN if file.endswith(".csv")}
+
+
+def test_the_picture_of_a_record_is_among_the_pictures_and_that_of_another_table_next_to_it(tmp_path):
+    assert records.picture_of(records.RECORDS / "roundoff.csv") == records.PICTURES / "roundoff.png"
+    assert records.picture_of(tmp_path / "roundoff.csv") == tmp_path / "roundoff.png"
 
 
 @pytest.mark.parametrize("name", SCRIPTS)

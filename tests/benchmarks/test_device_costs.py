@@ -2,7 +2,7 @@
 
 import pytest
 
-from benchmarks.common.records import DOCS, ROOT, read
+from benchmarks.common.records import DOCS, RECORDS, ROOT, read
 
 PAGES = {
     "README": ROOT / "README.md",
@@ -12,7 +12,7 @@ PAGES = {
     "joss": DOCS / "joss.md",
     "changes": ROOT / "CHANGELOG.md",
 }
-ROWS = {(row["system"], row["molecules"], row["integrator"]): row for row in read(DOCS / "device_costs.csv")}
+ROWS = {(row["system"], row["molecules"], row["integrator"]): row for row in read(RECORDS / "device_costs.csv")}
 
 
 def text(page):

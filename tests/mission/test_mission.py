@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import openmm_exactrb as rb
-from benchmarks.common.records import DOCS, read
+from benchmarks.common.records import RECORDS, read
 from openmm_exactrb.substeps import DRIFT
 
 HERE = Path(__file__).parent
@@ -18,7 +18,7 @@ ROOT = HERE.parents[1]
 
 def figure(steps):
     """Return the energy error after a number of steps on the page about guarantees."""
-    rows = read(DOCS / "roundoff.csv")
+    rows = read(RECORDS / "roundoff.csv")
     (row,) = (
         row
         for row in rows

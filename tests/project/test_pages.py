@@ -88,7 +88,7 @@ MARKDOWN = [*(ROOT / "docs").rglob("*.md"), *ROOT.glob("*.md"), *(ROOT / "packag
 def test_links_lead_to_files_of_the_repository():
     """As a forge shows the pages: nothing that only a build makes, and no substitutions of Sphinx."""
     wrong, made = [], {ROOT / "docs" / "examples", ROOT / "docs" / "_build"}
-    left_out = () if (ROOT / ".github").exists() else (".png", ".gif", ".yml")  # of an sdist
+    left_out = () if (ROOT / ".github").exists() else (".png", ".gif", ".svg", ".yml")  # of an sdist
     for page in (page for page in MARKDOWN if not made & {*page.parents}):
         text = re.sub(r"^(```+).*?^\1$|`[^`\n]*`", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)
         targets = {target: (page.parent / target).resolve() for target in LINK.findall(text)}
@@ -96,3 +96,9 @@ def test_links_lead_to_files_of_the_repository():
         wrong += [(name_of(page), name) for name, t in targets.items() if not t.exists() or made & {t, *t.parents}]
         wrong += [(name_of(page), name) for name in re.findall(r"\{\{ \w+ \}\}", text)]
     assert wrong == []
+
+
+def test_the_root_of_the_pages_has_no_records_and_pictures():
+    files = [file for file in (ROOT / "docs").iterdir() if file.is_file()]
+    assert {file.suffix for file in files} == {".md", ".py", ".bib"}
+    assert len(files) <= 16

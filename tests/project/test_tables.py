@@ -1,4 +1,4 @@
-"""Figures of the pages follow from the records of benchmarks in docs/*.csv."""
+"""Figures of the pages follow from the records of benchmarks, in benchmarks/records."""
 
 import re
 from pathlib import Path
