@@ -47,10 +47,8 @@ validate: $(VENV)/.validation
 	$(BIN)/python -m pytest -n auto --validate $(ARGS)
 
 benchmarks: $(VENV)/.test
-	$(BIN)/python benchmarks/cost/step_cost.py
 	$(BIN)/python benchmarks/cost/dipole_cost.py
 	$(BIN)/python benchmarks/water/droplet.py
-	$(BIN)/python benchmarks/cost/water.py
 	$(BIN)/python benchmarks/proteins/peptide.py
 	$(BIN)/python benchmarks/proteins/protein.py
 	$(BIN)/python benchmarks/dipoles/dipole_precision.py

@@ -8,14 +8,14 @@ import pytest
 import openmm_exactrb as rb
 from benchmarks import tables, write_tables
 from benchmarks.dipoles.tables import dipole_memory, droplet_gains
-from benchmarks.water.tables import reading_points
+from benchmarks.water.tables import costs_of_settings, reading_points
 
 ROOT = Path(__file__).resolve().parents[2]
 #: Records of runs that the README and the pages of recommendations quote.
 QUOTED = [
-    *("default_energies", "dipole_droplet", "equipartition", "long_step_heating", "one_line", "outputs", "protein"),
-    *("protein_steps", "reading_point", "rigid_domains", "small_systems", "water_boxes", "water_boxes_loose"),
-    "water_densities",
+    *("default_energies", "dipole_droplet", "equipartition", "force_settings", "long_step_heating", "one_line"),
+    *("outputs", "protein", "protein_steps", "reading_point", "rigid_domains", "small_systems"),
+    *("water_boxes", "water_boxes_loose", "water_densities"),
 ]
 
 
@@ -175,6 +175,17 @@ def test_openmm_at_8_fs_is_as_the_record_has_it_with_the_runs_that_ended():
     light = [row for row in tables.rows("protein_steps") if (row["integrator"], row["fs"]) == ("LangevinMiddle", "6.0")]
     assert tables.ended(light) == "0 of 3 runs of 100 ps"
     assert "none of three runs of `LangevinMiddleIntegrator` at 6 fs ended" in page("docs/tutorials/protein-8fs.md")
+
+
+def test_what_smooth_forces_cost_is_in_the_record():
+    small, large = map(costs_of_settings, ("216", "895"))
+    most, least = (f"{costs['switch and tolerance 1e-5']:.1f}" for costs in (small, large))
+    assert f"{least} to {most} times as long" in page("README.md")
+    assert f"{least} to {most} times as long" in page("docs/tutorials/first-water.md")
+    assert f"A step of Verlet then takes [{most} times as long]" in page("docs/explanation/limits.md")
+    assert f"with this setting alone, a step takes {small['switch']:.2f} times as long" in page("docs/faq.md")
+    words = f"of 895 molecules takes {least} times as long, and one of 216 molecules {most} times as long"
+    assert words in page("docs/faq.md")
 
 
 def page(name):
