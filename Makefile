@@ -17,7 +17,7 @@ test: $(VENV)/.test
 # Compiles all kernels for CUDA, without a GPU.
 cuda-check: $(VENV)/.test
 	$(BIN)/python -m pip install --quiet --editable ".[cuda-check]"
-	$(BIN)/python -m pytest -n auto tests/engines/native/test_cuda.py $(ARGS)
+	$(BIN)/python -m pytest -n auto tests/engines/test_cuda.py $(ARGS)
 
 lowest: $(LOWEST)/.test
 	$(LOWEST)/bin/python -m pytest -n auto -W ignore::DeprecationWarning $(ARGS)

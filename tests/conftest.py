@@ -1,6 +1,8 @@
 import gc
+import locale
 import os
 import signal
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,8 +10,11 @@ from hypothesis import settings
 
 import compilation
 import openmm_exactrb as rb
+from openmm_exactrb.engines.catalogue import ENGINES
 from openmm_exactrb.engines.library import missing
 from openmm_exactrb.mathematics import quaternions
+from places import device_platform
+from starts import CPU, REFERENCE
 
 # A shell without job control starts background processes with Ctrl-C ignored; tests of interruptions would never end.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -70,6 +75,46 @@ def few_objects_to_search():
     """Leave out what earlier tests made, such as compiled kernels, where the Context of an integrator is searched."""
     gc.collect()
     gc.freeze()
+
+
+@pytest.fixture(autouse=True)
+def _same_locale():
+    """Restore the locale: OpenMM's PME leaves "C" on OpenCL (VkFFT), and files are read as ASCII in the tests after."""
+    before = locale.setlocale(locale.LC_ALL)
+    yield
+    locale.setlocale(locale.LC_ALL, before)
+
+
+# -- engines and platforms --------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def host_is_advised(monkeypatch):
+    """Let engine="auto" take the host, which elsewhere it takes only for what the kernels do not serve."""
+    monkeypatch.setitem(ENGINES, "native", replace(ENGINES["native"], advice=lambda *_: (False, "the host is tested")))
+
+
+@pytest.fixture(params=["host", pytest.param("native", marks=pytest.mark.library)])
+def every_engine(request):
+    """Let engine="auto" take each engine in turn; return its name."""
+    if request.param == "host":
+        request.getfixturevalue("host_is_advised")
+    return request.param
+
+
+@pytest.fixture(params=["Reference", "CPU", pytest.param("device", marks=pytest.mark.opencl)])
+def platform(request):
+    """Return a platform for which there are kernels."""
+    return {"Reference": REFERENCE, "CPU": CPU}.get(request.param) or device_platform()
+
+
+@pytest.fixture(params=[pytest.param("native", marks=pytest.mark.opencl), "Reference"])
+def where(request):
+    """Return the name of a place where the native engine runs, and the platform there."""
+    return request.param, device_platform() if request.param == "native" else REFERENCE
+
+
+# -- bodies, schemes and rotors ---------------------------------------------------------------------------------------
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from pages import ROOT, pieces
 
 import openmm_exactrb as rb
 import peptides
-from engines.native.zoo import every_kind
+from zoo import every_kind
 from small_molecules import MOLECULES, placed, system_of
 from starts import context_of, positions_of
 
