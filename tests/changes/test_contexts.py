@@ -8,13 +8,15 @@ from functools import partial
 import numpy as np
 import openmm
 import pytest
-from zoo import apart, context_of, held, pair, water
 
 import openmm_exactrb as rb
+from both_engines import apart, begun, maker, pair
 from openmm_exactrb.engines.library import Machine, library
 from openmm_exactrb.errors import IntegrationError, NonFiniteError
 from openmm_exactrb.openmm_access import platforms
 from openmm_exactrb.thermostats.hybrid import ExactRigidBodyHybridIntegrator
+from starts import held
+from zoo import water
 
 pytestmark = [pytest.mark.library, pytest.mark.opencl]
 LONG = pytest.mark.validate
@@ -33,7 +35,7 @@ def make(scheme="W2_1", h=H, **options):
 
 
 def on_device(box, integrator=None, **options):
-    return context_of(*box, integrator or make(), **options)
+    return begun(*box, integrator or make(), **options)
 
 
 def device_of(context):
@@ -82,7 +84,7 @@ def test_a_step_launches_one_kernel_a_force_and_a_call_a_few_more(box, scheme, f
 
 @pytest.mark.parametrize("scheme", [pytest.param("S2_2", marks=LONG), "W2_1"])
 def test_what_is_set_between_calls_is_taken_up_as_on_the_host(box, scheme):
-    contexts = pair(*box, lambda engine: rb.ExactRigidBodyIntegrator(H, scheme, engine=engine))
+    contexts = pair(*box, maker(scheme, H))
     for change in range(6):
         for context in contexts:
             integrator = context.getIntegrator()
@@ -111,7 +113,7 @@ def test_a_parameter_and_a_box_act_from_the_next_call_on(box):
     for i in range(0, system.getNumParticles(), 3):
         field.addParticle(i)
     system.addForce(field)
-    contexts = pair(system, positions, lambda engine: rb.ExactRigidBodyIntegrator(H, "W2_1", engine=engine))
+    contexts = pair(system, positions, maker("W2_1", H))
     for context in contexts:
         context.getIntegrator().step(4)
         context.setParameter("k", 30.0)
@@ -168,7 +170,7 @@ def test_after_a_checkpoint_a_barostat_moves_bodies_where_its_own_count_says(box
 def test_the_motion_of_the_centre_of_mass_is_removed_as_on_the_host(box, scheme, frequency):
     system = copy.deepcopy(box[0])
     system.addForce(openmm.CMMotionRemover(frequency))
-    contexts = pair(system, box[1], lambda engine: rb.ExactRigidBodyIntegrator(H, scheme, engine=engine))
+    contexts = pair(system, box[1], maker(scheme, H))
     for context in contexts:
         context.setVelocities(held(context)[1] + [0.3, 0.0, 0.0])
         context.setStepCount(1)  # steps count, and not calls
@@ -191,7 +193,7 @@ def test_an_andersen_thermostat_pushes_whole_bodies(box):
 
 def test_molecules_that_openmm_wraps_and_reorders_move_on(box):
     """Over more steps than OpenMM has between two reorderings."""
-    contexts = pair(*box, lambda engine: rb.ExactRigidBodyIntegrator(H, "S2_2", engine=engine))
+    contexts = pair(*box, maker("S2_2", H))
     for context in contexts:
         context.setVelocities(held(context)[1] + [5.0, -3.0, 2.0])
         context.getIntegrator().step(300)
@@ -299,7 +301,7 @@ def test_steps_far_too_long_are_an_error_and_leave_the_context(box):
 
 
 def test_reading_energies_and_forces_and_minimising_leaves_the_run_right(box):
-    contexts = pair(*box, lambda engine: rb.ExactRigidBodyIntegrator(H, "W2_1", engine=engine))
+    contexts = pair(*box, maker("W2_1", H))
     for context in contexts:
         context.getIntegrator().step(3)
         context.getState(energy=True, forces=True, groups={0})
@@ -322,7 +324,7 @@ def test_two_contexts_and_threads_do_not_disturb_each_other(box):
 
 
 def test_force_groups_are_respected(box):
-    contexts = pair(*box, lambda engine: rb.ExactRigidBodyIntegrator(H, "S2_2", engine=engine))
+    contexts = pair(*box, maker("S2_2", H))
     for context in contexts:
         context.getIntegrator().step(2)
         context.getIntegrator().setIntegrationForceGroups({1})

@@ -107,3 +107,13 @@ FORMS = (
     *(bonds, angles, periodic_torsions, polynomial_torsions),
     *(pairs, lennard_jones_pairs, harmonic_torsions, harmonic_torsions_of_files, torsions_on_a_line, maps),
 )
+
+
+def tether(i, j):
+    """Return a bonded force that no kernel has, because it is periodic."""
+    force = openmm.CustomBondForce("pull*(r-0.3)^4")
+    force.addGlobalParameter("pull", 1e3)
+    force.addBond(i, j, [])
+    force.setUsesPeriodicBoundaryConditions(True)
+    force.setName("tether")
+    return force

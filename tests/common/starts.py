@@ -55,9 +55,11 @@ def topology_of(system):
     return topology
 
 
-def simulation_of(topology, system, integrator, start, velocities=None, *, kelvin=None, seed=1, platform=REFERENCE):
-    """Return a Simulation, started as the Context of `context_of`."""
-    simulation = app.Simulation(topology, system, integrator, platform)
+def simulation_of(
+    topology, system, integrator, start, velocities=None, *, kelvin=None, seed=1, platform=REFERENCE, properties=None
+):
+    """Return a Simulation, started as the Context of `context_of`; without a Topology, of atoms without bonds."""
+    simulation = app.Simulation(topology or topology_of(system), system, integrator, platform, properties)
     put(simulation.context, start, velocities)
     if kelvin is not None:
         simulation.context.setVelocitiesToTemperature(kelvin, seed)
@@ -86,6 +88,17 @@ def positions_of(context):
 def velocities_of(context):
     """Return the velocities (n, 3) in nm/ps of a Context or a Simulation."""
     return state_of(context).getVelocities(asNumpy=True)._value.copy()
+
+
+def held(context):
+    """Return positions and velocities (2, n, 3) of a Context or a Simulation."""
+    state = state_of(context)
+    return np.array([state.getPositions(asNumpy=True)._value, state.getVelocities(asNumpy=True)._value])
+
+
+def energy_of(context):
+    """Return the potential energy in kJ/mol of a Context or a Simulation."""
+    return getattr(context, "context", context).getState(energy=True).getPotentialEnergy()._value
 
 
 def total_energy(context):

@@ -1,14 +1,10 @@
-"""A System with bodies of every kind that moves, and Contexts of both engines for the same start."""
-
-import copy
+"""A System with bodies of every kind that moves, and periodic water."""
 
 import numpy as np
 import openmm
 from openmm import app
 
 import openmm_exactrb as rb
-from openmm_exactrb.openmm_access.platforms import DEVICES
-from places import device_platform
 
 _T = 0.1 / 3**0.5
 METHANE = [(0, 0, 0), (_T, _T, _T), (_T, -_T, -_T), (-_T, _T, -_T), (-_T, -_T, _T)]
@@ -70,48 +66,3 @@ def water(n=27, model="tip3p", method=app.CutoffPeriodic):
     cutoff = 0.45 * 0.3104 * np.ceil(n ** (1 / 3))
     _, system, positions = rb.rigid_water(n, model=model, nonbondedMethod=method, nonbondedCutoff=cutoff)
     return system, np.array(positions._value)
-
-
-def context_of(system, positions, integrator, *, precision="double", kelvin=300.0, platform=None):
-    """Return a Context of a copy of a System, with bodies at a temperature."""
-    platform = platform or device_platform()
-    properties = {"Precision": precision} if platform.getName() in DEVICES else {}
-    context = openmm.Context(copy.deepcopy(system), integrator, platform, properties)
-    context.setPositions(positions)
-    context.computeVirtualSites()
-    if kelvin is not None:
-        integrator.setVelocitiesToTemperature(kelvin, 1)
-    return context
-
-
-def pair(system, positions, make, **options):
-    """Return Contexts of integrators make(engine=...) of host and kernels, from one start on one platform."""
-    host, device = (
-        context_of(system, positions, make(engine=engine), kelvin=None, **options) for engine in ("host", "native")
-    )
-    host.getIntegrator().setVelocitiesToTemperature(300.0, 1)
-    start = host.getState(positions=True, velocities=True)
-    device.setPositions(start.getPositions())
-    device.setVelocities(start.getVelocities())
-    return host, device
-
-
-def held(context):
-    """Return positions and velocities."""
-    state = context.getState(positions=True, velocities=True)
-    return np.array([state.getPositions(asNumpy=True)._value, state.getVelocities(asNumpy=True)._value])
-
-
-def apart(one, other):
-    """Return how far positions (nm) of two Contexts are apart at most."""
-    return np.abs(held(one)[0] - held(other)[0]).max()
-
-
-def twice_from(checkpoint, context, n):
-    """Return where n steps from a checkpoint end, twice."""
-    ends = []
-    for _ in range(2):
-        context.loadCheckpoint(checkpoint)
-        context.getIntegrator().step(n)
-        ends.append(held(context))
-    return ends

@@ -6,10 +6,11 @@ import numpy as np
 import openmm
 import pytest
 from openmm import app, unit
-from zoo import apart, held, pair
 
 import openmm_exactrb as rb
+from both_engines import apart, maker, pair
 from places import device_platform
+from starts import held
 
 pytestmark = [pytest.mark.library, pytest.mark.opencl]
 LADDER = 300.0 * 1.05 ** np.arange(3) * unit.kelvin
@@ -84,7 +85,7 @@ def test_virtual_sites_across_bodies_move_as_on_the_host():
     for i in range(9):
         force.addException(i, site, 0.0, 0.1, 0.0)
     positions = np.vstack([positions, positions[[0, 3, 6]].mean(axis=0)])
-    contexts = pair(system, positions, lambda engine: rb.ExactRigidBodyIntegrator(0.001, "W2_1", engine=engine))
+    contexts = pair(system, positions, maker("W2_1", 0.001))
     for context in contexts:
         context.getIntegrator().step(20)
     assert apart(*contexts) < 1e-11

@@ -12,19 +12,18 @@ from pathlib import Path
 import numpy as np
 import openmm
 from openmm import app
-from test_native_clusters import GRAPHS
-from test_native_clusters import system_of as clusters
-from test_native_molecules import tether
-from zoo import every_kind, water
 
 import openmm_exactrb as rb
 from alchemical import alchemical
-from bonded_terms import FORMS, N
+from bonded_terms import FORMS, N, tether
 from bonded_terms import system_of as bonded
 from custom_forces import ENERGIES, KINDS, chain, force_of
+from graphs import GRAPHS
+from graphs import system_of as clusters
 from openmm_exactrb.engines import library
 from peptides import in_water
 from starts import CPU, REFERENCE, positions_of
+from zoo import every_kind, water
 
 EVERY_KIND = every_kind()
 PEPTIDES = {constraints: in_water(constraints, 8)[1:] for constraints in ("None", "HBonds", "AllBonds", "HAngles")}

@@ -13,9 +13,9 @@ from pages import ROOT, pieces
 
 import openmm_exactrb as rb
 import peptides
-from zoo import every_kind
 from small_molecules import MOLECULES, placed, system_of
 from starts import context_of, positions_of
+from zoo import every_kind
 
 CPU = openmm.Platform.getPlatform("CPU")
 VILLIN = Path(app.__file__).parent / "data" / "test.pdb"

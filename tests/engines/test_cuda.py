@@ -5,7 +5,6 @@ from types import SimpleNamespace
 import cuda
 import openmm
 import pytest
-from zoo import every_kind, water
 
 import openmm_exactrb as rb
 from alchemical import alchemical
@@ -15,6 +14,7 @@ from openmm_exactrb.schemes.catalogue import scheme_for_thermostat
 from openmm_exactrb.thermostats import Langevin, NoseHooverChain, StochasticRescaling
 from peptides import in_water
 from places import device_platform
+from zoo import every_kind, water
 
 pytestmark = pytest.mark.library
 

@@ -6,38 +6,22 @@ import warnings
 import numpy as np
 import openmm
 import pytest
-from zoo import apart, held, pair, twice_from
 
 import openmm_exactrb as rb
 from alchemical import CHANGED, alchemical
+from both_engines import apart, maker, pair, twice_from
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.multiple_time_steps.bonded import interacting_exceptions
 from openmm_exactrb.multiple_time_steps.excerpt import bonded_excerpt
 from openmm_exactrb.multiple_time_steps.stiffness import fastest, frequencies
 from openmm_exactrb.openmm_access.platforms import DEVICES
 from peptides import in_water, peptide
-from places import REFERENCE, device_platform
-from starts import CPU, context_of
+from starts import context_of, held
 
 pytestmark = pytest.mark.library
 
 ROUNDOFF = 1e-13
 SCHEMES = [("S2_2", None), ("W2_1", None), ("BAOA", 0.0), ("W2_3m", 0.0)]
-
-
-@pytest.fixture(params=["Reference", "CPU", pytest.param("device", marks=pytest.mark.opencl)])
-def platform(request):
-    return {"Reference": REFERENCE, "CPU": CPU}.get(request.param) or device_platform()
-
-
-def maker(scheme, friction=None, h=0.002, **options):
-    def make(engine):
-        settings = {"engine": engine} | options
-        if friction is None:
-            return rb.ExactRigidBodyIntegrator(h, scheme, **settings)
-        return rb.ExactRigidBodyLangevinIntegrator(300.0, friction, h, scheme, **settings)
-
-    return make
 
 
 def changed(context, parameters):
@@ -164,7 +148,7 @@ def test_angles_of_a_formula_are_as_fast_as_they_are(theta0):
 @pytest.mark.parametrize(("scheme", "friction"), SCHEMES)
 def test_engines_agree_while_parameters_change(scheme, friction, platform):
     _, system, x = in_water("HBonds", 6)
-    contexts = pair(alchemical(system), x, maker(scheme, friction, fast="bonded"), platform=platform)
+    contexts = pair(alchemical(system), x, maker(scheme, friction=friction, fast="bonded"), platform=platform)
     assert [context.getIntegrator().getEngine() for context in contexts] == ["host", "native"]
     for parameters in ({}, *({name: value} for name, value in CHANGED.items()), dict.fromkeys(CHANGED, 0.0)):
         for context in contexts:
@@ -176,7 +160,7 @@ def test_engines_agree_while_parameters_change(scheme, friction, platform):
 @pytest.mark.parametrize(("scheme", "friction"), SCHEMES)
 def test_changed_parameters_are_those_of_a_new_context(scheme, friction, platform):
     _, system, x = in_water("HBonds", 6)
-    make = maker(scheme, friction, fast="bonded")
+    make = maker(scheme, friction=friction, fast="bonded")
     started, _ = (old, new) = pair(alchemical(system), x, lambda engine: make("native"), platform=platform)
     old.getIntegrator().step(5)
     changed(old, CHANGED)
@@ -258,7 +242,7 @@ def test_derivatives_by_parameters_are_openmms(platform):
 @pytest.mark.parametrize(("scheme", "friction"), [("W2_1", None), ("W2_3m", 2.0)])
 def test_a_checkpoint_has_the_parameters(scheme, friction, platform):
     _, system, x = in_water("HBonds", 6)
-    _, context = pair(alchemical(system), x, maker(scheme, friction, fast="bonded"), platform=platform)
+    _, context = pair(alchemical(system), x, maker(scheme, friction=friction, fast="bonded"), platform=platform)
     changed(context, CHANGED)
     context.getIntegrator().step(3)
     checkpoint = context.createCheckpoint()

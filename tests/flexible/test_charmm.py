@@ -7,9 +7,9 @@ import numpy as np
 import openmm
 import pytest
 from openmm import app
-from zoo import apart, pair
 
 import openmm_exactrb as rb
+from both_engines import apart, nested, pair
 from openmm_exactrb import kernels
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.multiple_time_steps.compiled_forces import terms_of
@@ -61,7 +61,7 @@ def test_bonded_forces_are_openmms(molecule):
 
 def test_steps_are_those_of_the_host(molecule):
     system, x, _ = molecule
-    make = lambda engine: rb.ExactRigidBodyIntegrator(0.002, "S2_2", fast="bonded", engine=engine)  # noqa: E731
+    make = nested("S2_2", 0.002)
     contexts = pair(system, x, make)
     for context in contexts:
         context.getIntegrator().step(3)

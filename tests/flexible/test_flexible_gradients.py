@@ -3,15 +3,16 @@
 import numpy as np
 import openmm
 import pytest
-from test_native_molecules import nested, tether
-from zoo import apart, held, pair, twice_from
 
 import openmm_exactrb as rb
+from bonded_terms import tether
+from both_engines import apart, nested, pair, twice_from
 from openmm_exactrb.engines.native.flexible import blocks
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.substeps import DRIFT, GradientKick
 from peptides import in_water, peptide, violations
 from places import device_platform
+from starts import held
 
 pytestmark = pytest.mark.library
 

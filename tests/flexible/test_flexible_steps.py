@@ -6,13 +6,15 @@ import numpy as np
 import openmm
 import pytest
 from openmm import app
-from zoo import apart, held, pair, twice_from
 
 import openmm_exactrb as rb
+from bonded_terms import tether
+from both_engines import apart, nested, pair, twice_from
 from openmm_exactrb.engines.native.flexible import blocks
 from openmm_exactrb.engines.native.flexible.molecules import NotServedError, require_few_terms
 from peptides import in_water, peptide, violations
 from places import device_platform
+from starts import held
 
 pytestmark = [pytest.mark.library, pytest.mark.opencl]
 # Of the order of summation in the forces, in double precision; of fast forces in single precision and constraints.
@@ -28,20 +30,6 @@ def moved(start, make, n=5, **options):
         context.getIntegrator().step(n - 2)
     assert device.getIntegrator().getEngine() == "native"
     return apart(host, device), device
-
-
-def nested(scheme, h, friction=None, **options):
-    """Return what makes integrators with inner steps."""
-
-    def make(engine):
-        settings = {"fast": "bonded", "engine": engine} | options
-        if friction is None:
-            return rb.ExactRigidBodyIntegrator(h, scheme, **settings)
-        integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, friction, h, scheme, **settings)
-        integrator.setRandomNumberSeed(5)
-        return integrator
-
-    return make
 
 
 @pytest.mark.parametrize(
@@ -145,16 +133,6 @@ def test_a_checkpoint_continues_to_the_bit_whenever_it_is_loaded():
     again = twice_from(checkpoint, device, 3)
     np.testing.assert_array_equal(*again)
     np.testing.assert_allclose(again[0], end, rtol=0.0, atol=5e-12)
-
-
-def tether(i, j):
-    """Return a bonded force that no kernel has, because it is periodic."""
-    force = openmm.CustomBondForce("pull*(r-0.3)^4")
-    force.addGlobalParameter("pull", 1e3)
-    force.addBond(i, j, [])
-    force.setUsesPeriodicBoundaryConditions(True)
-    force.setName("tether")
-    return force
 
 
 @pytest.mark.parametrize(

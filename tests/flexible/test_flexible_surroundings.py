@@ -4,13 +4,13 @@ import numpy as np
 import openmm
 import pytest
 from openmm import app
-from zoo import apart, context_of, held, pair
 
 import openmm_exactrb as rb
+from both_engines import apart, begun, nested, pair
 from peptides import in_box, in_water, peptide, violations
 from places import platform_for
 from starts import context_of as reference_of
-from starts import positions_of
+from starts import held, positions_of
 
 pytestmark = [pytest.mark.library, pytest.mark.opencl]
 
@@ -46,7 +46,7 @@ def with_everything():
 
 def test_sites_restraints_and_biases_change_as_on_the_host():
     system, x, bonds = with_everything()
-    contexts = pair(system, x, lambda engine: rb.ExactRigidBodyIntegrator(0.002, "S2_2", fast="bonded", engine=engine))
+    contexts = pair(system, x, nested("S2_2", 0.002))
     i, j, length, strength = bonds.getBondParameters(0)
     bonds.setBondParameters(0, i, j, 1.02 * length, strength)
     for changes in ({}, {"alchemical": 0.5}, {"restraint": 30.0, "height": 8.0}):
@@ -74,7 +74,7 @@ def test_a_barostat_moves_a_peptide_as_a_whole():
     force.setRandomNumberSeed(1)
     system.addForce(force)
     integrator = rb.ExactRigidBodyIntegrator(1e-6, "W2_1", fast="bonded", engine="native")
-    context = context_of(system, positions_of(held_to), integrator, precision="double")
+    context = begun(system, positions_of(held_to), integrator, precision="double")
     integrator.step(1)
 
     def seen():
@@ -107,7 +107,7 @@ def test_water_with_virtual_sites_moves_as_on_the_host():
     held_to = reference_of(system, openmm.VerletIntegrator(0.001), modeller.positions)
     held_to.applyConstraints(1e-13)
     held_to.computeVirtualSites()
-    make = lambda engine: rb.ExactRigidBodyIntegrator(0.002, "S2_2", fast="bonded", engine=engine)  # noqa: E731
+    make = nested("S2_2", 0.002)
     contexts = pair(system, positions_of(held_to), make)
     for context in contexts:
         context.getIntegrator().step(3)

@@ -8,13 +8,15 @@ import numpy as np
 import openmm
 import pytest
 from openmm import app
-from zoo import apart, context_of, every_kind, held, pair, water
 
 import openmm_exactrb as rb
+from both_engines import apart, begun, maker, pair
 from openmm_exactrb.moves import Move, Op
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.schemes.sequence import spelled
 from openmm_exactrb.substeps import DRIFT, KICK, Substep
+from starts import held
+from zoo import every_kind, water
 
 pytestmark = [pytest.mark.library, pytest.mark.opencl]
 LONG = pytest.mark.validate
@@ -35,7 +37,7 @@ def stepped(contexts, n=STEPS):
 )
 def test_a_scheme_moves_water_as_the_host_does(scheme):
     start = water(64, method=app.PME) if scheme == "W2_1" else water()
-    contexts = pair(*start, lambda engine: rb.ExactRigidBodyIntegrator(0.001, scheme, engine=engine))
+    contexts = pair(*start, maker(scheme, 0.001))
     assert stepped(contexts) < DOUBLE
     assert contexts[0].getTime()._value == pytest.approx(contexts[1].getTime()._value, rel=1e-14)
     assert contexts[1].getStepCount() == STEPS
@@ -43,24 +45,20 @@ def test_a_scheme_moves_water_as_the_host_does(scheme):
 
 @pytest.mark.parametrize("scheme", [pytest.param("S2_2", marks=LONG), "W2_1"])
 def test_mixed_precision_moves_water_as_the_host_does(scheme):
-    contexts = pair(
-        *water(), lambda engine: rb.ExactRigidBodyIntegrator(0.001, scheme, engine=engine), precision="mixed"
-    )
+    contexts = pair(*water(), maker(scheme, 0.001), precision="mixed")
     assert stepped(contexts) < MIXED
 
 
 @pytest.mark.parametrize("scheme", ["S2_2", pytest.param("W2_1", marks=LONG), "Chin4A"])
 def test_bodies_of_every_kind_move_as_on_the_host(scheme):
     system, positions, bodies = every_kind()
-    contexts = pair(
-        system, positions, lambda engine: rb.ExactRigidBodyIntegrator(0.002, scheme, engine=engine, bodies=bodies)
-    )
+    contexts = pair(system, positions, maker(scheme, 0.002, bodies=bodies))
     assert stepped(contexts) < 1e-13
     assert np.abs(held(contexts[1])[0] - positions).max() > 0.05
 
 
 def test_virtual_sites_move_as_on_the_host():
-    contexts = pair(*water(model="tip4pew"), lambda engine: rb.ExactRigidBodyIntegrator(0.001, "W2_1", engine=engine))
+    contexts = pair(*water(model="tip4pew"), maker("W2_1", 0.001))
     assert stepped(contexts) < DOUBLE
 
 
@@ -72,13 +70,13 @@ def test_kicks_by_force_groups_are_those_of_the_host():
     field.setForceGroup(3)
     system.addForce(field)
     scheme = Scheme("split", 2, spelled("B3 B0 A B0 B3"))
-    contexts = pair(system, positions, lambda engine: rb.ExactRigidBodyIntegrator(0.001, scheme, engine=engine))
+    contexts = pair(system, positions, maker(scheme, 0.001))
     assert stepped(contexts) < DOUBLE
 
 
 def test_a_lopsided_scheme_is_that_of_the_host():
     scheme = Scheme("Euler", 1, ((KICK, 1.0), (DRIFT, 1.0)))
-    contexts = pair(*water(), lambda engine: rb.ExactRigidBodyIntegrator(0.001, scheme, engine=engine))
+    contexts = pair(*water(), maker(scheme, 0.001))
     assert stepped(contexts) < DOUBLE
 
 
@@ -131,9 +129,7 @@ def test_moves_of_users_may_have_functions_of_one_name():
     system, positions, bodies = every_kind()
     rows = ((Fading(3.0), 0.5), (KICK, 0.5), (DRIFT, 1.0), (KICK, 0.5), (Fading(50.0), 0.5))
     scheme = Scheme("fading", 1, rows)
-    contexts = pair(
-        system, positions, lambda engine: rb.ExactRigidBodyIntegrator(0.002, scheme, engine=engine, bodies=bodies)
-    )
+    contexts = pair(system, positions, maker(scheme, 0.002, bodies=bodies))
     assert stepped(contexts) < 1e-12
 
 
@@ -187,7 +183,7 @@ def test_thermostats_that_multiply_momenta_are_those_of_the_host(kind, together)
 def test_forces_that_depend_on_time_have_the_time_of_the_host():
     system, positions = water()
     system.addForce(openmm.PythonForce(partial(_pull, n=system.getNumParticles())))
-    contexts = pair(system, positions, lambda engine: rb.ExactRigidBodyIntegrator(0.001, "SRKN4_6b", engine=engine))
+    contexts = pair(system, positions, maker("SRKN4_6b", 0.001))
     assert stepped(contexts) < DOUBLE
 
 
@@ -203,7 +199,7 @@ def test_single_precision_keeps_the_state_in_double():
     contexts = pair(
         system,
         positions,
-        lambda engine: rb.ExactRigidBodyIntegrator(0.002, "S2_2", engine=engine, bodies=bodies),
+        maker("S2_2", 0.002, bodies=bodies),
         precision="single",
     )
     assert stepped(contexts) < 2e-6
@@ -217,7 +213,7 @@ def test_bodies_stay_rigid_over_a_hundred_thousand_steps():
     system, positions = water(8)
     while system.getNumForces():
         system.removeForce(0)
-    context = context_of(system, positions, rb.ExactRigidBodyIntegrator(0.002, "S2_2", engine="native"))
+    context = begun(system, positions, rb.ExactRigidBodyIntegrator(0.002, "S2_2", engine="native"))
 
     def lengths():
         x = held(context)[0].reshape(-1, 3, 3)

@@ -6,25 +6,17 @@ from dataclasses import dataclass, field
 import numpy as np
 import openmm
 import pytest
-from test_native_clusters import GRAPHS, system_of
-from zoo import context_of, every_kind, pair, water
 
 import openmm_exactrb as rb
+from both_engines import begun, pair
+from graphs import GRAPHS, system_of
 from openmm_exactrb.openmm_access.platforms import DEVICES
 from peptides import in_water
-from places import REFERENCE, device_platform
-from starts import CPU
+from places import REFERENCE
 from thermostatted import load, molecules, saved
+from zoo import every_kind, water
 
 pytestmark = pytest.mark.library
-
-PLACES = [pytest.param("native", marks=pytest.mark.opencl), "Reference", "CPU"]
-
-
-@pytest.fixture(params=PLACES)
-def platform(request):
-    """Return a platform for which there are kernels."""
-    return {"Reference": REFERENCE, "CPU": CPU}.get(request.param) or device_platform()
 
 
 def peptide(constraints):
@@ -76,7 +68,7 @@ class Case:
         if removes:
             system.addForce(openmm.CMMotionRemover(removes))
         made = [self.make(engine, **named, **self.options) for engine in ("host", "native")]
-        return [context_of(system, positions, integrator, platform=platform) for integrator in made]
+        return [begun(system, positions, integrator, platform=platform) for integrator in made]
 
 
 CASES = {
@@ -130,7 +122,7 @@ def test_kernels_tell_what_the_host_tells(case, removes, platform):
 
 @pytest.mark.parametrize("make", [langevin, rescaling])
 def test_heat_may_be_asked_for_at_any_time(make, platform):
-    context = context_of(*droplet(), make("native"), platform=platform)
+    context = begun(*droplet(), make("native"), platform=platform)
     integrator = context.getIntegrator()
     before = integrator.effectiveEnergy()._value
     assert integrator.heat()._value == 0.0
@@ -160,7 +152,7 @@ def test_without_forces_the_heat_is_what_openmm_finds_in_the_velocities(removes,
         system.addConstraint(first + i, first + j, d)
     if removes:
         system.addForce(openmm.CMMotionRemover())
-    context = context_of(system, np.append(x, places, axis=0), langevin("native", friction=friction), platform=platform)
+    context = begun(system, np.append(x, places, axis=0), langevin("native", friction=friction), platform=platform)
     integrator, kinetic = context.getIntegrator(), []
     start = context.getState(energy=True).getKineticEnergy()._value
     for n in (1, 1, 30):
@@ -186,7 +178,7 @@ def test_saved_runs_go_on_with_their_heat(case, kind, platform):
     later = told(integrator)
 
     make, options = CASES[case].make, CASES[case].options
-    other = context_of(context.getSystem(), positions, make("native", **options), kelvin=None, platform=platform)
+    other = begun(context.getSystem(), positions, make("native", **options), kelvin=None, platform=platform)
     for again in (other, context):
         load(again, kind, content)
         assert again.getIntegrator().heat() == found
@@ -235,7 +227,7 @@ def test_heat_of_steps_that_diverge_is_not_counted(platform):
     system.addForce(wall)
     found = []
     for diverges in (True, False):
-        context = context_of(system, positions, langevin("native"), platform=platform)
+        context = begun(system, positions, langevin("native"), platform=platform)
         integrator = context.getIntegrator()
         context.setVelocities(np.where(np.arange(len(positions))[:, None] < 3, [40.0, 0.0, 0.0], 0.0))
         if diverges:

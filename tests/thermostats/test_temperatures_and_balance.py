@@ -1,19 +1,18 @@
 """The temperature that OpenMM's reporters ask for with the native engine, and the energy balance of its thermostats."""
 
 import pytest
-from zoo import every_kind, pair, water
 
 import openmm_exactrb as rb
+from both_engines import maker, pair
 from peptides import in_water
+from zoo import every_kind, water
 
 pytestmark = [pytest.mark.library, pytest.mark.opencl]
 
 
 def test_the_temperature_of_the_system_is_that_of_the_host():
     system, positions, bodies = every_kind()
-    contexts = pair(
-        system, positions, lambda engine: rb.ExactRigidBodyIntegrator(0.002, "S2_2", engine=engine, bodies=bodies)
-    )
+    contexts = pair(system, positions, maker("S2_2", 0.002, bodies=bodies))
     found = []
     for context in contexts:
         context.getIntegrator().step(5)
