@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import openmm
 import pytest
-from openmm import unit
 from scipy.spatial.transform import Rotation
 
 import openmm_exactrb as rb
@@ -187,52 +186,6 @@ def test_the_force_is_lawful(kernel, periodic, rng):
     assert_lawful(rb.soft_dipole_force(pairs, strength=1.5, length=0.5, kernel=kernel, **around), x, around.get("box"))
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"strength": np.nan}, "strength must be a finite number"),
-        ({"length": 0.0}, "length must be a positive number of nm"),
-        ({"sigma": -1.0}, "sigma must be a positive number of nm"),
-        ({"epsilon": -1.0}, "epsilon must be a number of at least 0"),
-        ({"attraction": np.nan}, "attraction must be a finite number"),
-        ({"wca": True}, "wca=True needs an energy with a minimum: set attraction and epsilon to positive"),
-        ({"wca": True, "attraction": 1.0, "epsilon": 0.0}, "set attraction and epsilon to positive"),
-        ({"kernel": "fortran"}, "the kernel 'fortran' is unknown"),
-        ({"boundary": "ewald"}, "boundary must be one of"),
-        ({"boundary": rb.Ewald}, "boundary must be one of"),
-        ({"boundary": rb.ReactionField()}, "needs a periodic box"),
-        ({"boundary": rb.Ewald()}, "needs a periodic box"),
-        ({"box": (2.0, 2.0, 2.0)}, "box= needs a periodic boundary"),
-        ({"box": (2.0, 2.0), "boundary": rb.ReactionField()}, "three positive edges"),
-        ({"box": 2.0, "boundary": rb.ReactionField()}, "three positive edges"),
-        ({"box": (2.0, 2.0, 2.0) * unit.nanometer, "boundary": rb.ReactionField()}, "without a unit"),
-        ({"box": (2.0, 2.0, 0.0), "boundary": rb.ReactionField()}, "each edge of the box"),
-    ],
-)
-def test_wrong_options_get_one_sentence(options, message):
-    with pytest.raises(ValueError, match=message):
-        rb.soft_dipole_force(HEAD_TO_TAIL, **({"strength": 1.0, "length": 0.5} | options))
-
-
-@pytest.mark.parametrize("kernel", ["compiled", "openmm"])
-@pytest.mark.parametrize(
-    ("arrows", "message"),
-    [
-        ([(0, 1, 2), (3, 4, 5)], r"a pair of particles.* not \(0, 1, 2\)"),
-        ([(0,), (1,)], "a pair of particles"),
-        ([(0, 1), (-1, 3)], "a pair of particles"),
-        ([(0, 1), (0, 3)], "particle 0 occurs twice in the arrows"),
-        ([(0, 0)], "particle 0 occurs twice in the arrows"),
-        ([0, 1], "arrows must be lists of particle indices"),
-        ([(0.0, 1.0)], "arrows must be lists of particle indices"),
-    ],
-)
-def test_arrows_are_pairs_of_particles(arrows, message, kernel):
-    """What the compiled kernel would otherwise read, and write forces to, is memory that is not its own."""
-    with pytest.raises(ValueError, match=message):
-        rb.soft_dipole_force(arrows, strength=1.0, length=0.5, kernel=kernel)
-
-
 @pytest.mark.parametrize("kernel", ["compiled", "openmm"])
 def test_arrows_may_be_an_array_or_an_iterator(kernel):
     pairs = np.arange(8).reshape(4, 2)
@@ -242,11 +195,6 @@ def test_arrows_may_be_an_array_or_an_iterator(kernel):
         for arrows in (pairs, iter(pairs.tolist()), pairs.tolist())
     }
     assert len(texts) == 1
-
-
-def test_no_arrows_are_refused():
-    with pytest.raises(ValueError, match="at least one arrow"):
-        rb.soft_dipole_force([], strength=1.0, length=0.5)
 
 
 # -- who computes it ------------------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ import starts
 from force_laws import context_of, evaluated, positions_of
 from openmm_exactrb.potentials import SoftDipoles
 from plain_ewald import dipole_ewald
-from soft_dipoles import PARAMETERS, arrows, assert_same, dipoles_alone, fluid, liquid, sites_of
+from soft_dipoles import arrows, assert_same, dipoles_alone, fluid, liquid, sites_of
 
 # -- functions --------------------------------------------------------------------------------------------------
 
@@ -250,22 +250,3 @@ def test_a_serialised_system_has_the_same_sum(wca):
     context, _ = fluid(27, boundary=rb.Ewald(dielectric=4.0), density=0.5, attraction=1.0, wca=wca)
     system = openmm.XmlSerializer.deserialize(openmm.XmlSerializer.serialize(context.getSystem()))
     assert_same(evaluated(context_of(system, positions_of(context))), evaluated(context), 0.0)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"kernel": "bonds"}, "only the compiled kernel computes an Ewald sum"),
-        ({"kernel": "fortran"}, "the kernel 'fortran' is unknown"),
-        ({"boundary": rb.Ewald(switch=0.0)}, "start the switch at a larger distance"),
-        ({"boundary": rb.Ewald(switch=0.02)}, "waves, more than 1e\\+06"),
-    ],
-)
-def test_wrong_options_get_one_sentence(options, message):
-    with pytest.raises(ValueError, match=message):
-        rb.dipole_fluid(27, **({"boundary": rb.Ewald()} | options))
-
-
-def test_the_kernel_needs_a_box_too():
-    with pytest.raises(ValueError, match="needs a periodic box"):
-        SoftDipoles(None, (1.0, 1.0, 1.0)).energy_and_forces(np.zeros((2, 3)), PARAMETERS)

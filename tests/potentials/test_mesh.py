@@ -75,25 +75,6 @@ def test_what_is_given_is_taken():
     assert rb.Ewald(method="direct").getParameters(1000, box).cutoff == 5.0
 
 
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"method": "fast"}, "the method 'fast' is unknown"),
-        ({"method": "direct", "order": 8}, "the direct sum has no mesh"),
-        ({"order": 7}, "order must be an even number"),
-        ({"mesh": 41}, "a mesh of 41 points along an edge has a slow Fourier transform: use 45"),
-        ({"mesh": (40, 40)}, "one number of points or three"),
-        ({"mesh": 8}, "at least order"),
-        ({"cutoff": 6.0}, "cutoff must be at most half the shortest edge"),
-        ({"mesh": 20, "cutoff": 2.0, "tolerance": 1e-6}, "above the tolerance"),
-        ({"method": "mesh", "tolerance": 1e-13}, "a mesh needs a tolerance of at least"),
-    ],
-)
-def test_what_cannot_be_met_gets_one_sentence(settings, message):
-    with pytest.raises(ValueError, match=message):
-        rb.Ewald(**settings).getParameters(1000, (10.0, 10.0, 10.0))
-
-
 def test_a_box_that_shrinks_below_its_mesh_is_refused():
     context, _ = fluid(64, boundary=rb.Ewald(order=16, tolerance=1e-2), density=0.05)
     context.setPeriodicBoxVectors(*np.diag([7.2, 10.0, 10.0]))

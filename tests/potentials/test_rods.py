@@ -89,33 +89,3 @@ def test_the_topology_ends_in_centre_and_tip_as_with_every_kernel():
     boundary = rb.Ewald(tolerance=1e-3)
     length = rod_length(27, 3 * [(27 / 0.3) ** (1 / 3)], boundary)
     np.testing.assert_allclose(np.linalg.norm(x[:, 3] - x[:, 4], axis=1), length, rtol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (
-            {"boundary": rb.Ewald(tolerance=9e-5)},
-            r"must be at least 0.0001, not 9e-05: .* kernel='compiled'",
-        ),
-        ({"boundary": rb.Ewald(dielectric=4.0)}, "an infinite dielectric"),
-        ({"boundary": rb.ReactionField()}, "need boundary=Ewald"),
-        (
-            {"boundary": rb.Ewald(cutoff=2.0), "length": 0.6},
-            "must be below half the shortest edge of the box, 2.5 nm: use a larger box, a shorter cutoff",
-        ),
-        ({"boundary": rb.Ewald(cutoff=2.6)}, "at most half the shortest edge of the box"),
-        ({"length": 0.0}, "length must be a positive"),
-        ({"strength": np.nan}, "strength must be a finite number"),
-        ({"wca": True}, "wca=True needs an energy with a minimum: set attraction and epsilon to positive"),
-        ({"rods": [(0, 1, 2)]}, r"each rod must be a pair of particles \(plus, minus\)"),
-        ({"rods": []}, "at least one rod"),
-        ({"particles": 3}, "particles must be"),
-        ({"centres": [4]}, "the length must be 2, not 1"),
-    ],
-)
-def test_wrong_options_get_one_sentence(options, message):
-    settings = {"rods": [(0, 1), (2, 3)], "centres": [4, 5], "particles": 6, "strength": 1.0, "length": 0.1}
-    settings["box"] = 3 * [5.0]
-    with pytest.raises(ValueError, match=message):
-        dipole_rod_forces(**settings | {"boundary": rb.Ewald(tolerance=1e-3)} | options)

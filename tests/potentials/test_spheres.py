@@ -248,21 +248,3 @@ def test_the_correction_follows_the_parameters_of_the_context():
 
 
 # -- what is refused --------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"sphere_cutoff": 5.0}, "sphere_cutoff must be at most half the shortest edge of the box, .* a larger box"),
-        ({"sphere_cutoff": 0.0}, "sphere_cutoff must be a positive number of nm"),
-        ({"sphere_cutoff": 2.0, "sphere_switch": 2.0}, "sphere_switch must be below the sphere_cutoff of 2 nm"),
-        ({"wca": True, "shifted": True}, "wca=True already shifts the energy .* omit shifted"),
-        ({"wca": True, "long_range_correction": True}, "without wca: omit long_range_correction="),
-        ({"wca": True, "sphere_cutoff": 1.2}, "before the minimum of their energy at 1.12246 nm"),
-        ({"boundary": rb.Open(), "sphere_cutoff": 2.0}, "need a periodic box"),
-        ({"boundary": rb.Open(), "long_range_correction": True}, "needs a periodic box and spheres"),
-    ],
-)
-def test_wrong_options_get_one_sentence(options, message):
-    with pytest.raises(ValueError, match=message):
-        rb.dipole_fluid(64, **STOCKMAYER | {"boundary": FIELD} | options)

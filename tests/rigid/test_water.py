@@ -41,13 +41,6 @@ def test_water_models_run_and_keep_their_energy_and_shape(model):
         assert system.isVirtualSite(3)
 
 
-def test_the_wrong_water_is_refused():
-    with pytest.raises(ValueError, match="choose one of tip3p, spce"):
-        rb.rigid_water(2, model="tip2p")
-    with pytest.raises(ValueError, match="n must be a whole number of at least 1"):
-        rb.rigid_water(0)
-
-
 @pytest.fixture
 def salt_water():
     """Water with two ions beside it: free particles."""

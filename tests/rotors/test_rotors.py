@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from openmm import unit
 from scipy.spatial.transform import Rotation
 
 import openmm_exactrb as rb
@@ -151,25 +150,6 @@ def test_views_and_other_dtypes_are_taken(bodies):
         np.testing.assert_array_equal(a, b)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"method": "jacobi"}, "choose one of exact"),
-        ({"inertia": [1.0, 2.0]}, r"shape \(3,\) or \(N, 3\)"),
-        ({"inertia": [1.0, 0.0, 2.0]}, "positive and finite"),
-        ({"inertia": [1.0, np.nan, 2.0]}, "positive and finite"),
-        ({"q0": [1.0, 0.0, 0.0]}, "must have the shape"),
-        ({"q0": [0.0, 0.0, 0.0, 0.0]}, "is zero"),
-        ({"m0": np.ones((2, 3)), "t": np.ones(3)}, "do not agree on the number N of bodies"),
-        ({"m0": np.ones((2, 2, 3))}, "one axis of bodies, not 2"),
-    ],
-)
-def test_wrong_input_gets_one_sentence(change, message):
-    arguments = {"inertia": [1.0, 2.0, 3.0], "q0": [1.0, 0, 0, 0], "m0": [1.0, 0, 0], "t": 0.1} | change
-    with pytest.raises(ValueError, match=message):
-        rb.free_rotor(**arguments)
-
-
 @given(
     inertia=st.lists(st.floats(1e-3, 1e3), min_size=3, max_size=3),
     m=st.lists(st.floats(-1e3, 1e3), min_size=3, max_size=3),
@@ -197,62 +177,6 @@ def test_quaternion_of_a_matrix_is_the_quaternion(rng):
     np.testing.assert_allclose(
         rotation_matrix(q), Rotation.from_quat(q, scalar_first=True).as_matrix(), rtol=0.0, atol=1e-15
     )
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("inertia", [1.0, 2.0 + 1.0j, 3.0]),
-        ("q0", "attitude"),
-        ("m0", np.array([1.0 + 1.0j, 0.0, 0.0])),
-        ("m0", [[1.0, 0.0, 0.0], [1.0]]),
-        ("m0", ["1", "0", "0"]),
-        ("m0", [None, 1.0, 0.0]),
-        ("t", 1.0j),
-        ("t", 1.0 * unit.picosecond),
-        ("inertia", np.ones(3) * unit.dalton * unit.angstrom**2),
-    ],
-)
-def test_what_are_no_real_numbers_gets_one_sentence(name, value):
-    arguments = {"inertia": [1.0, 2.0, 3.0], "q0": [1.0, 0, 0, 0], "m0": [1.0, 0, 0], "t": 0.1} | {name: value}
-    with pytest.raises(ValueError, match=f"^{name} must be real numbers in rows of equal length, without a unit, not "):
-        rb.free_rotor(**arguments)
-    if name == "inertia":
-        with pytest.raises(ValueError, match=r"^inertia must be real numbers in rows of equal length"):
-            rb.rotors.rotor("exact", value)
-
-
-@pytest.mark.parametrize(
-    ("inertia", "q", "m", "t"),
-    [
-        ((3,), (4, 5), (3, 6), ()),
-        ((3,), (4, 6), (3, 5), ()),
-        ((3,), (4, 5), (3, 5), (4,)),
-        ((3,), (4, 5), (3, 5), (6,)),
-        ((3,), (4, 5), (3, 5), (1, 5)),
-        ((5, 3), (4, 6), (3, 6), ()),
-        ((6, 3), (4, 5), (3, 5), ()),
-        ((6, 3), (4, 1), (3, 1), ()),
-        ((3,), (5, 4), (5, 3), ()),
-        ((3,), (4,), (3,), ()),
-        ((3,), (2, 4, 5), (1, 3, 5), ()),
-        ((3,), (3, 4, 5), (3, 3, 5), ()),
-    ],
-)
-def test_arrays_that_are_not_of_one_number_of_bodies_are_refused(inertia, q, m, t):
-    """A compiled flow would read and write past their ends."""
-    flow = rb.rotors.rotor("exact", np.ones(inertia) * [1.0, 2.0, 2.5])
-    for _ in range(2):
-        with pytest.raises(
-            ValueError, match=r"do not agree on the number N of bodies: use the shapes \(4, N\) for q, \(3, N\) for m"
-        ):
-            flow(np.full(q, 0.5), np.ones(m), np.full(t, 0.1))
-
-
-def test_every_flow_refuses_them(method):
-    flow = rb.rotors.rotor(method, [1.0, 2.0, 2.5])
-    with pytest.raises(ValueError, match="do not agree on the number N of bodies"):
-        flow(np.full((4, 6), 0.5), np.ones((3, 5)), 0.1)
 
 
 def test_flows_take_sums_or_say_that_they_do_not(method, rng):

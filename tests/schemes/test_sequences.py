@@ -30,11 +30,6 @@ def test_a_sequence_is_carried_out_in_its_order(sequence, h):
     assert run(sequence, noted(), (), h) == tuple((substep, part * h) for substep, part in sequence)
 
 
-def test_a_substep_without_a_flow_is_an_error():
-    with pytest.raises(KeyError, match="Kick"):
-        run(((KICK, 1.0),), {DRIFT: None}, None, 0.1)
-
-
 @given(sequence=SEQUENCES)
 def test_the_inverse_of_the_inverse_is_the_sequence_and_it_takes_back_all_times(sequence):
     assert inverse(inverse(sequence)) == sequence
@@ -76,12 +71,6 @@ def test_a_text_is_a_sequence_whose_substeps_have_equal_shares():
     assert spelled("B1 A B1")[0] == (SLOW, 0.5)
     with pytest.raises(ValueError, match='substeps separated by spaces, such as "B A O A B"'):
         spelled("  ")
-
-
-@pytest.mark.parametrize("symbol", ["C", "BAOAB", "a", "B-1", "B1.5", "B32"])
-def test_a_symbol_of_no_substep_is_refused(symbol):
-    with pytest.raises(ValueError, match=f"the substep '{symbol}' is unknown"):
-        spelled(f"B {symbol} B")
 
 
 def test_a_sequence_reads_the_same_from_behind_up_to_kicks_that_commute():

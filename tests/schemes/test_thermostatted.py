@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import openmm_exactrb as rb
-from openmm_exactrb.schemes import WITH_THERMOSTAT, scheme, scheme_for_thermostat, shadow, stability_limit
+from openmm_exactrb.schemes import WITH_THERMOSTAT, scheme_for_thermostat, shadow, stability_limit
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.thermostatted import reading_point
 from openmm_exactrb.substeps import DRIFT, HEAT_EXCHANGE, KICK
@@ -78,12 +78,6 @@ def test_names_are_looked_up_among_all_schemes_that_a_thermostat_can_be_joined_t
     for typo in ("w2_3m", "W2_3M"):
         with pytest.raises(ValueError, match=f"'{typo}'.* did you mean 'W2_3m'"):
             scheme_for_thermostat(typo)
-
-
-@pytest.mark.parametrize("name", WITH_THERMOSTAT)
-def test_without_a_thermostat_they_are_refused_by_name(name):
-    with pytest.raises(ValueError, match=f"{name} .*ExactRigidBodyLangevinIntegrator"):
-        scheme(name)
 
 
 def frequency_error(drifts, kicks):

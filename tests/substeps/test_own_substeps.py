@@ -221,12 +221,6 @@ def test_a_substep_of_ones_own_acts_as_it_says():
         np.testing.assert_allclose(now, np.exp(-rate * n * h) * then, rtol=0.0, atol=1e-14 * np.abs(then).max())
 
 
-def test_a_sequence_of_something_else_than_substeps_is_refused():
-    for wrong in (("F", 1.0), (Friction, 1.0), KICK, (KICK, 0.5, 0.5)):
-        with pytest.raises(ValueError, match=r"scheme mine: .* pairs of a Substep and its fraction of the step, not"):
-            Scheme("mine", 2, (wrong, (DRIFT, 1.0)))
-
-
 def test_a_substep_that_does_not_say_what_it_does_is_named():
     @dataclass(frozen=True)
     class Silent(Substep):

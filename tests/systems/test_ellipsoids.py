@@ -173,29 +173,6 @@ def test_seeds_and_units():
     np.testing.assert_allclose(with_units, one, rtol=0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"n": 0}, "n must be a whole number"),
-        ({"kappa": -1.0}, "kappa must be a positive number"),
-        ({"kappa_prime": 0.0}, "kappa_prime must be a positive number"),
-        ({"mass": float("nan")}, "mass must be a positive number of amu"),
-        ({"sigma": 1.0 * unit.kelvin}, "sigma must be a positive number of nm"),
-        ({"epsilon": -1.0}, "epsilon must be a positive number of kJ/mol"),
-        ({"density": 0.0}, "density must be a positive number"),
-        ({"density": 0.7, "cutoff": 3.0}, "do not fit on a lattice"),
-        ({"n": 100}, "at most half the edge of the box, .* use more ellipsoids"),
-        ({"cutoff": -1.0}, "cutoff must be a positive number of nm"),
-        ({"switch": 4.5}, "must be below the cutoff"),
-        ({"seed": 1.5}, "the seed must be a whole number of at least 0"),
-        ({"seed": None}, "the seed must be a whole number of at least 0"),
-    ],
-)
-def test_wrong_input_gets_one_sentence(options, message):
-    with pytest.raises(ValueError, match=message):
-        rb.ellipsoids(**options)
-
-
 def small(*, equilibrate=400):
     """A System of 32 short ellipsoids with room for a cutoff, and its positions in the liquid."""
     _, system, positions = rb.ellipsoids(32, 1, kappa=1.5, kappa_prime=3.0, density=0.45, cutoff=2.05)

@@ -185,16 +185,3 @@ def test_a_run_is_the_same():
         integrator.step(20)
         ends.append(context.getState(positions=True).getPositions(asNumpy=True)._value)
     np.testing.assert_allclose(*ends, rtol=0.0, atol=1e-10)
-
-
-@pytest.mark.parametrize(
-    ("bodies", "message"),
-    [
-        ([[0, 1], [1, 2]], "particle 1 is named twice, in bodies 0 and 1"),
-        ([[0, 99]], "the particles of body 0 must be numbers from 0 to 39, not 99"),
-        ("all", "bodies must be lists of particle indices"),
-    ],
-)
-def test_bodies_that_are_none_are_refused(bodies, message):
-    with pytest.raises(ValueError, match=message):
-        rb.exclude_within(mixture(False)[0], bodies)

@@ -29,37 +29,6 @@ def test_sites_have_exactly_the_wanted_inertia(rng, planar):
         np.testing.assert_allclose(inertia_tensor(sites, mass), np.diag(inertia), rtol=0.0, atol=3e-15 * inertia.max())
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"n": 0}, "n must be a whole number of at least 1, not 0"),
-        ({"n": 2.5}, "n must be a whole number"),
-        ({"spacing": -1.0}, "spacing must be a positive number of nm"),
-        ({"sigma": float("nan")}, "sigma must be a positive number of nm"),
-        ({"epsilon": 0.0}, "epsilon must be a positive number of kJ/mol"),
-        ({"mass": -1.0}, "mass must be a positive number of amu"),
-        ({"perturbation": -0.1}, "perturbation must be a number of at least 0"),
-        ({"trap": float("inf")}, "trap must be a number of at least 0"),
-        ({"dipole": (0.0, 0.0, 0.0)}, "non-zero vector"),
-        ({"dipole": (1.0, 0.0)}, "three finite numbers"),
-        ({"dipole": 1.0}, "three finite numbers"),
-        ({"dipole": 3.0 * unit.kelvin}, "three finite numbers"),
-        ({"dipole": (1.0, 0.0, 0.0) * unit.nanometer}, "is not a dipole moment"),
-        ({"inertia": (1.0, 1.0, 3.0)}, "at most the sum of the other two"),
-        ({"inertia": (1.0, 1.0, 0.0)}, "three positive moments"),
-        ({"inertia": (1.0, 1.0)}, "three positive moments"),
-        ({"density": 0.8}, "density needs a periodic box: add boundary="),
-        ({"boundary": rb.ReactionField(), "density": -1.0}, "density must be a positive number"),
-        ({"boundary": rb.ReactionField(), "trap": 0.5}, "not to a periodic liquid: omit trap="),
-        ({"boundary": rb.ReactionField(cutoff=10.0)}, "at most half the shortest edge of the box"),
-        ({"boundary": "periodic"}, "boundary must be one of"),
-    ],
-)
-def test_wrong_input_gets_one_sentence(options, message):
-    with pytest.raises(ValueError, match=message):
-        rb.dipole_fluid(**({"n": 2} | options))
-
-
 @pytest.fixture(params=[(1.0, 1.88, 2.88), (1.0, 1.5, 2.0)], ids=["planar", "tetrahedral"])
 def droplet(request):
     return *rb.dipole_fluid(11, seed=4, inertia=request.param, trap=0.3), request.param
