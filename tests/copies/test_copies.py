@@ -80,11 +80,6 @@ def test_settings_of_openmm_are_copied_and_a_seed_only_if_it_was_set():
     assert [way(integrator).getSeedInUse() for way in WAYS.values()] == [11] * len(WAYS)
 
 
-def test_the_kinetic_energy_in_which_the_text_is_stored_cannot_be_changed():
-    with pytest.raises(ValueError, match=r"has no setKineticEnergyExpression\(\)"):
-        made().setKineticEnergyExpression("0")
-
-
 # -- trajectories -----------------------------------------------------------------------------------------------------
 
 

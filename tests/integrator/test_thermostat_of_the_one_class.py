@@ -5,8 +5,6 @@ import openmm
 import pytest
 
 import openmm_exactrb as rb
-from openmm_exactrb.schemes import Scheme
-from openmm_exactrb.substeps import DRIFT, KICK
 from openmm_exactrb.thermostats import HybridMonteCarlo, Langevin, NoseHooverChain, StochasticRescaling
 from starts import context_of, positions_of
 
@@ -72,12 +70,3 @@ def test_settings_of_the_thermostat_are_changed_by_name():
     with pytest.raises(ValueError, match="friction"):
         integrator.changeThermostat(friction=-1.0)
     assert integrator.getThermostat() == Langevin(300.0, 3.0, 4.0)
-
-
-def test_the_inner_scheme_of_hybrid_monte_carlo_is_symmetric():
-    for make in (
-        lambda **more: rb.ExactRigidBodyIntegrator(H, thermostat=HybridMonteCarlo(300.0, 1.0), **more),
-        lambda **more: rb.ExactRigidBodyHybridIntegrator(300.0, 1.0, H, **more),
-    ):
-        with pytest.raises(ValueError, match="inner scheme"):
-            make(fast="bonded", inner=Scheme("Euler", 1, [(DRIFT, 1.0), (KICK, 1.0)]))

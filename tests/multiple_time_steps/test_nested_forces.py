@@ -116,33 +116,6 @@ def test_groups_that_cannot_be_nested_are_refused(options, message):
         moving(system, x, **options)
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"fast": "angles"}, 'fast must be "auto", None, "bonded" or force groups'),
-        ({"fast": (32,)}, 'fast must be "auto", None, "bonded" or force groups'),
-        ({"fast": ()}, 'fast must be "auto", None, "bonded" or force groups'),
-        ({"fast": 1}, 'fast must be "auto", None, "bonded" or force groups'),
-        ({"fast": (0.5,)}, 'fast must be "auto", None, "bonded" or force groups'),
-        ({"fast": openmm.NonbondedForce()}, r"call force\.getForceGroup\(\)"),
-        ({"fast": (openmm.NonbondedForce(),)}, r"call force\.getForceGroup\(\)"),
-        ({"fast": None, "inner": "S2_2"}, "have no effect with fast=None: omit them"),
-        ({"fast": None, "innerSteps": 2}, "have no effect with fast=None: omit them"),
-        ({"fast": "bonded", "inner": "V2_C17"}, "only of drifts and kicks"),
-        ({"fast": "bonded", "innerSteps": 0}, "innerSteps"),
-    ],
-)
-def test_what_makes_no_multiple_time_steps_is_refused(options, message):
-    with pytest.raises(ValueError, match=message):
-        rb.ExactRigidBodyIntegrator(0.001, **options)
-
-
-@pytest.mark.parametrize(("given", "name"), [(None, "NoneType"), (app.Topology(), "Topology")])
-def test_only_a_system_has_bonded_forces(given, name):
-    with pytest.raises(ValueError, match=rf"takes an openmm\.System.* not {name}"):
-        rb.separate_bonded(given)
-
-
 def test_groups_may_be_whole_numbers_of_numpy():
     integrator = rb.ExactRigidBodyIntegrator(0.001, fast=np.array([2, 1, 2]))
     assert integrator.getMultipleTimeSteps().fast == (1, 2)

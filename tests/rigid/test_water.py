@@ -113,15 +113,6 @@ def test_linear_molecules_have_five_degrees_of_freedom_and_the_right_temperature
     assert not state.m[0].any()
 
 
-def test_temperatures_that_are_none_are_refused(salt_water):
-    simulation = warm(*salt_water)
-    integrator = simulation.integrator
-    with pytest.raises(ValueError, match="is not a temperature"):
-        integrator.setVelocitiesToTemperature(300.0 * unit.nanometer)
-    with pytest.raises(ValueError, match="must be at least 0"):
-        integrator.setVelocitiesToTemperature(-1.0)
-
-
 def flexible_ring(n_rings=4):
     """Rings of six atoms with bonds and angles but no constraints."""
     system, topology = openmm.System(), app.Topology()

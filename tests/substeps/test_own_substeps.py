@@ -90,16 +90,6 @@ def test_a_scheme_needs_no_entry():
     assert_same(end(mine), end("V2"))
 
 
-def test_what_is_neither_a_name_nor_an_object_is_refused():
-    for scheme in ((), (DRIFT, 1.0)):
-        with pytest.raises(
-            ValueError, match=r"a scheme must be a name in openmm_exactrb\.SCHEMES, .* or a Scheme, not"
-        ):
-            rb.ExactRigidBodyIntegrator(0.01, scheme=scheme)
-    with pytest.raises(ValueError, match="pass a Rotor"):
-        rb.ExactRigidBodyIntegrator(0.01, rotor=turning_about_fixed_axes)
-
-
 # -- force gradients --------------------------------------------------------------------------------------------------
 
 

@@ -36,27 +36,6 @@ def test_momenta_are_canonical_and_depend_on_seed_and_step_only():
     )
 
 
-@pytest.mark.parametrize("interval", [0, -1, 2.5, None])
-def test_intervals_are_at_least_one_step(interval):
-    with pytest.raises(ValueError, match="reportInterval must be a whole number of steps of at least 1"):
-        rb.CanonicalMomenta(1.0, interval)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ((-5.0, 10), "a temperature must be at least 0"),
-        ((float("nan"), 10), "a temperature must be a finite number"),
-        (("warm", 10), "a temperature must be a finite number"),
-        ((300.0, 10, -1), "the seed must be a whole number of at least 0"),
-        ((300.0, 10, 1.5), "the seed must be a whole number of at least 0"),
-    ],
-)
-def test_other_bad_input_is_refused_at_once(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        rb.CanonicalMomenta(*arguments)
-
-
 @pytest.mark.parametrize(
     "integrator",
     [

@@ -100,11 +100,6 @@ def test_plain_arrays_are_welcome(rng):
         np.testing.assert_array_equal(high[0], x[0])
 
 
-def test_a_thermostat_does_not_run_backwards(rng):
-    with pytest.raises(ValueError, match="stepSize must be positive when friction is non-zero"):
-        prepared()(*momenta(rng), -0.1, AT)
-
-
 # Free bodies, whose motion is known
 
 

@@ -113,8 +113,3 @@ def test_no_time_and_no_motion_leave_the_momenta(rng):
     still = exactly(np.zeros((3, 4))), exactly(np.zeros((3, 2)))
     P1, _ = prepared()(*still, 1.0, AT)
     assert P1 is still[0]
-
-
-def test_a_thermostat_does_not_run_backwards(rng):
-    with pytest.raises(ValueError, match="stepSize must be positive with a thermostat"):
-        prepared()(*momenta(rng), -0.1, AT)
