@@ -13,8 +13,7 @@ import openmm_exactrb as rb
 from openmm_exactrb.engines.catalogue import ENGINES
 from openmm_exactrb.engines.library import missing
 from openmm_exactrb.mathematics import quaternions
-from places import device_platform
-from starts import CPU, REFERENCE
+from places import CPU, PLATFORMS, REFERENCE, WHERE, device_platform
 
 # A shell without job control starts background processes with Ctrl-C ignored; tests of interruptions would never end.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -102,13 +101,13 @@ def every_engine(request):
     return request.param
 
 
-@pytest.fixture(params=["Reference", "CPU", pytest.param("device", marks=pytest.mark.opencl)])
+@pytest.fixture(params=PLATFORMS)
 def platform(request):
     """Return a platform for which there are kernels."""
     return {"Reference": REFERENCE, "CPU": CPU}.get(request.param) or device_platform()
 
 
-@pytest.fixture(params=[pytest.param("native", marks=pytest.mark.opencl), "Reference"])
+@pytest.fixture(params=WHERE)
 def where(request):
     """Return the name of a place where the native engine runs, and the platform there."""
     return request.param, device_platform() if request.param == "native" else REFERENCE

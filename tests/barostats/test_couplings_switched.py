@@ -11,6 +11,7 @@ import openmm_exactrb as rb
 from openmm_exactrb.context.updates import acting_updates, names_of_updates
 from openmm_exactrb.thermostats import HybridMonteCarlo, Langevin
 from places import platform_for
+from products import in_pairs, spread_over
 
 BAR, KELVIN = unit.bar, unit.kelvin
 MEMBRANE = openmm.MonteCarloMembraneBarostat
@@ -31,7 +32,8 @@ WITHOUT_AXES = {
         openmm.Vec3(1, 1, 1) * BAR, 280 * KELVIN, False, False, False, n or 2
     )
 }
-BOTH = pytest.mark.parametrize("engine", ["host", pytest.param("native", marks=pytest.mark.opencl)])
+ENGINES = ["host", pytest.param("native", marks=pytest.mark.opencl)]
+BOTH = pytest.mark.parametrize("engine", ENGINES)
 COLLISIONS = openmm.AndersenThermostat.CollisionFrequency()
 
 
@@ -99,9 +101,7 @@ def switched_off_by(way):
 WAYS = "constructor", "setter before", "setter in the System", "reinitialize"
 
 
-@BOTH
-@pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize("name", BAROSTATS | WITHOUT_AXES)
+@spread_over({"name": BAROSTATS | WITHOUT_AXES, "way": WAYS, "engine": ENGINES}, times=2)
 def test_a_barostat_that_never_acts_may_have_any_temperature(name, way, engine):
     made, later = switched_off_by(way)
     found = []
@@ -117,9 +117,14 @@ def test_a_barostat_that_never_acts_may_have_any_temperature(name, way, engine):
     np.testing.assert_allclose(found[0], found[1], rtol=0.0, atol=0.0 if engine == "host" else 1e-12)
 
 
-@BOTH
-@pytest.mark.parametrize("way", ["constructor", "default", "parameter"])
-@pytest.mark.parametrize("make", ["Langevin", "rescaling", "chain", "argument"])
+@spread_over(
+    {
+        "make": ["Langevin", "rescaling", "chain", "argument"],
+        "way": ["constructor", "default", "parameter"],
+        "engine": ENGINES,
+    },
+    times=2,
+)
 def test_a_thermostat_without_collisions_is_no_second_thermostat(make, way, engine):
     force = openmm.AndersenThermostat(280.0, 0.0 if way == "constructor" else 5.0)
     force.setRandomNumberSeed(1)  # on OpenCL, the same as that of the integrator
@@ -143,8 +148,7 @@ def test_a_thermostat_without_collisions_is_no_second_thermostat(make, way, engi
     np.testing.assert_allclose(found[0], found[1], rtol=0.0, atol=0.0 if engine == "host" else 1e-12)
 
 
-@BOTH
-@pytest.mark.parametrize("name", BAROSTATS)
+@spread_over({"name": BAROSTATS, "engine": ENGINES})
 def test_a_barostat_that_never_acts_tears_no_body(name, engine):
     """Bodies that OpenMM does not take for molecules."""
     named = [[3 * k, 3 * k + 1, 3 * k + 2] for k in range(27)]
@@ -290,9 +294,9 @@ def fractions(context):
 SEQUENCE = (0, 7), (5, 23), (2, 7), (9, 40), (0, 3), (40, 33), (3, 20), (0, 11), (4, 6), (0, 1), (2, 5)
 
 
-@BOTH
-@pytest.mark.parametrize("scheme", ["S2_2", "W2_1", "BAOA", "W2_3m"])
-@pytest.mark.parametrize("others", ["nothing", "remover", "thermostat"])
+@in_pairs(
+    {"scheme": ["S2_2", "W2_1", "BAOA", "W2_3m"], "others": ["nothing", "remover", "thermostat"], "engine": ENGINES}
+)
 def test_molecules_follow_the_box_whenever_the_frequency_changes(others, scheme, engine):
     """In so short steps that only the barostat moves molecules, by the edges of the box."""
     options = {"engine": engine} | ({"thermostat": Langevin(280.0, 1.0)} if scheme in ("BAOA", "W2_3m") else {})

@@ -3,11 +3,12 @@
 from itertools import accumulate
 
 import numpy as np
-import pytest
 
 import openmm_exactrb as rb
 from peptides import in_water, peptide
-from starts import CPU, REFERENCE, context_of, positions_of, velocities_of
+from places import CPU
+from products import in_pairs
+from starts import context_of, positions_of, velocities_of
 
 # With several threads, forces differ from run to run.
 THREADS = {"Threads": "1"}
@@ -27,11 +28,16 @@ def shown_after(calls, start, platform, make):
     return shown
 
 
-@pytest.mark.parametrize("engine", ["host", "native"])
-@pytest.mark.parametrize("platform", [REFERENCE, CPU], ids=["Reference", "CPU"])
-@pytest.mark.parametrize("start", [peptide, in_water], ids=["peptide", "in water"])
-@pytest.mark.parametrize("fast", [None, "bonded"])
-@pytest.mark.parametrize("scheme", ["S2_2", "W2_1", "W4_4", "SRKN4_6b", "BAOA", "W2_3m"])
+@in_pairs(
+    {
+        "scheme": ["S2_2", "W2_1", "W4_4", "SRKN4_6b", "BAOA", "W2_3m"],
+        "fast": [None, "bonded"],
+        "start": [peptide, in_water],
+        "platform": ["Reference", "CPU"],
+        "engine": ["host", "native"],
+    },
+    indirect=["platform"],
+)
 def test_it_changes_no_bit(scheme, fast, start, platform, engine):
     def make():
         thermostat = rb.thermostats.Langevin(300.0, 5.0) if scheme in ("BAOA", "W2_3m") else None

@@ -2,14 +2,17 @@
 
 import numpy as np
 import openmm
-import pytest
 from openmm import app, unit
 
 import openmm_exactrb as rb
+from places import REFERENCE
+from products import in_pairs
 from starts import context_of, positions_of, velocities_of
 
-PLATFORMS = [openmm.Platform.getPlatform(name) for name in ("Reference", "CPU")]
-ENGINES = ["host", "auto"]
+EVERYWHERE = in_pairs(
+    {"scheme": ["S2_2", "V2", "W2_1", "W4_4"], "engine": ["host", "auto"], "platform": ["Reference", "CPU"]},
+    indirect=["platform"],
+)
 
 
 def along_constraints(context):
@@ -29,9 +32,7 @@ def context_with(engine, scheme, platform, thermostat):
     return context_of(system, integrator, np.array(x.value_in_unit(unit.nanometer)), kelvin=300.0, platform=platform)
 
 
-@pytest.mark.parametrize("platform", PLATFORMS, ids=lambda platform: platform.getName())
-@pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("scheme", ["S2_2", "V2", "W2_1", "W4_4"])
+@EVERYWHERE
 def test_velocities_of_the_andersen_thermostat_are_those_of_rigid_bodies(scheme, engine, platform):
     context = context_with(engine, scheme, platform, thermostat=True)
     for _ in range(20):
@@ -39,9 +40,7 @@ def test_velocities_of_the_andersen_thermostat_are_those_of_rigid_bodies(scheme,
         assert along_constraints(context) < 1e-6
 
 
-@pytest.mark.parametrize("platform", PLATFORMS, ids=lambda platform: platform.getName())
-@pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("scheme", ["S2_2", "V2", "W2_1", "W4_4"])
+@EVERYWHERE
 def test_step_0_removes_velocities_along_constraints(scheme, engine, platform):
     context = context_with(engine, scheme, platform, thermostat=False)
     context.getIntegrator().step(2)
@@ -52,7 +51,7 @@ def test_step_0_removes_velocities_along_constraints(scheme, engine, platform):
     assert along_constraints(context) < 1e-9
     system, reference = context.getSystem(), openmm.VerletIntegrator(0.001)
     reference.setConstraintTolerance(1e-12)
-    other = openmm.Context(system, reference, PLATFORMS[0])
+    other = openmm.Context(system, reference, REFERENCE)
     other.setPositions(positions_of(context))
     other.setVelocities(v)
     other.applyVelocityConstraints(1e-12)

@@ -8,6 +8,7 @@ import openmm_exactrb as rb
 import starts
 from openmm_exactrb.engines import selection
 from places import REFERENCE, platform_for
+from products import in_pairs
 from starts import positions_of
 
 PLACES = ["host", "no library", "kernels", pytest.param("OpenCL", marks=pytest.mark.opencl)]
@@ -81,10 +82,14 @@ def state_without_sites(context, x, rng):
     context.setState(other.getState(positions=True))
 
 
-@pytest.mark.parametrize("place", PLACES)
-@pytest.mark.parametrize("scheme", ["S2_2", "W2_1"])
-@pytest.mark.parametrize("change", [elsewhere, redefined, state_without_sites])
-@pytest.mark.parametrize("kind", SITES)
+@in_pairs(
+    {
+        "kind": SITES,
+        "change": [elsewhere, redefined, state_without_sites],
+        "scheme": ["S2_2", "W2_1"],
+        "place": PLACES,
+    }
+)
 def test_sites_are_at_their_places(kind, change, scheme, place, rng):
     system, x = molecules(SITES[kind])
     integrator = made(place, scheme)

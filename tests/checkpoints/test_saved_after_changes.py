@@ -19,6 +19,7 @@ from changes import (
     restraint,
     shown,
 )
+from products import in_pairs, spread_over
 
 
 def continued(run, how, system=None, place=None):
@@ -39,15 +40,13 @@ def first_step(context):
     context.getIntegrator().step(1)
 
 
-@pytest.mark.parametrize("looks", [True, False])
-@pytest.mark.parametrize("how", ["checkpoint", "State"])
-@pytest.mark.parametrize(
-    ("scheme", "place"),
-    [
-        *itertools.product(["S2_2", "W2_1", "W4_4"], ["host", "no library", "kernels"]),
-        pytest.param("W2_1", "OpenCL", marks=pytest.mark.opencl),
-    ],
-)
+RUNS = [
+    *itertools.product(["S2_2", "W2_1", "W4_4"], ["host", "no library", "kernels"]),
+    pytest.param("W2_1", "OpenCL", marks=pytest.mark.opencl),
+]
+
+
+@in_pairs({"scheme, place": RUNS, "how": ["checkpoint", "State"], "looks": [True, False]})
 def test_what_is_saved_behind_a_change_continues_with_the_same_bits(scheme, place, how, looks):
     rng = random.Random(f"{scheme}{place}{how}{looks}")
     changes = rng.sample([c for c in CHANGES if c not in (removed_force, minimiser)], 3 if place != "OpenCL" else 1)
@@ -94,8 +93,7 @@ def test_what_an_integrator_cannot_read_is_refused(scheme, how, before, after, m
             other.integrator.step(1)
 
 
-@pytest.mark.parametrize("place", PLACES)
-@pytest.mark.parametrize("how", ["checkpoint", "State"])
+@spread_over({"place": PLACES, "how": ["checkpoint", "State"]})
 def test_what_is_loaded_into_a_context_with_other_forces_goes_on_from_what_is_shown(place, how):
     """As from an equilibration with restraints."""
     run, other = Run(place, "W2_1", False), Run(place, "W2_1", False)

@@ -6,6 +6,7 @@ import pytest
 
 import openmm_exactrb as rb
 from places import platform_for
+from products import in_pairs
 from starts import simulation_of
 
 H, T = 0.002, 300.0
@@ -50,9 +51,7 @@ def held(simulation):
     return np.concatenate([state.getPositions(asNumpy=True)._value, state.getVelocities(asNumpy=True)._value])
 
 
-@pytest.mark.parametrize("moved", [False, True])
-@pytest.mark.parametrize("ours", OURS)
-@pytest.mark.parametrize("theirs", THEIRS)
+@in_pairs({"theirs": THEIRS, "ours": OURS, "moved": [False, True]})
 def test_states_of_openmms_integrators_are_loaded(tmp_path, theirs, ours, moved):
     """By a Simulation that has made steps, and by one that has not, with time and step count."""
     first, second = water(THEIRS[theirs]()), water(OURS[ours]())
@@ -79,7 +78,7 @@ def test_states_of_ours_are_loaded_by_openmms_integrators(tmp_path, theirs, ours
 
 
 @pytest.mark.opencl
-@pytest.mark.parametrize("theirs", THEIRS)
+@pytest.mark.parametrize("theirs", ["LangevinMiddle", "NoseHoover", "Custom"])
 def test_states_of_openmms_integrators_are_loaded_by_the_native_engine(theirs):
     first, second = water(THEIRS[theirs]()), water(OURS["S2_2"](engine="native"), platform_for("native")[0])
     first.step(2)

@@ -10,6 +10,13 @@ from openmm_exactrb.engines.library import SLOWER, missing
 from openmm_exactrb.openmm_access.platforms import DEVICES, platforms
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
+CPU = openmm.Platform.getPlatform("CPU")
+#: Platforms for which there are kernels, for the fixture `platform`.
+PLATFORMS = ["Reference", "CPU", pytest.param("device", marks=pytest.mark.opencl)]
+
+
+#: The same for the fixture `where`, without threads.
+WHERE = [pytest.param("native", marks=pytest.mark.opencl), "Reference"]
 
 
 def device_platform(names=DEVICES):

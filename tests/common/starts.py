@@ -5,9 +5,8 @@ import openmm
 from openmm import app, unit
 
 import openmm_exactrb as rb
+from places import REFERENCE
 
-REFERENCE = openmm.Platform.getPlatform("Reference")
-CPU = openmm.Platform.getPlatform("CPU")
 #: The gas constant in kJ/mol/K.
 R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
 

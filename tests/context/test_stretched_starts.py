@@ -11,6 +11,7 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 from openmm_exactrb.command.main import main
+from products import in_pairs
 from starts import REFERENCE, context_of, positions_of, simulation_of, system_of, topology_of, velocities_of
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -185,10 +186,14 @@ def test_a_minimisation_mends_what_a_step_refuses(name, rng):
     assert start.missed(positions_of(simulation.context)) < 1e-13
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("scheme", ["S2_2", "W2_1"])
-@pytest.mark.parametrize("how", ["reinitialize", "checkpoint", "State"])
-@pytest.mark.parametrize("name", MOLECULES)
+@in_pairs(
+    {
+        "name": MOLECULES,
+        "how": ["reinitialize", "checkpoint", "State"],
+        "scheme": ["S2_2", "W2_1"],
+        "engine": ENGINES,
+    }
+)
 def test_other_lengths_of_constraints_hold_from_the_next_call(name, how, scheme, engine, rng):
     """As if the positions had been set, wherever the state comes from."""
     start = Start(name, rng, lambda rng: 0.0)

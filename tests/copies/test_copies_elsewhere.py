@@ -17,8 +17,8 @@ import openmm_exactrb as rb
 from every_integrator import KINDS, MOVING, ends, every, made, seeded
 from openmm_exactrb.engines.library import of_library
 from openmm_exactrb.openmm_access import settings_text
-from places import REFERENCE, device_platform
-from starts import CPU, context_of, positions_of, put, velocities_of
+from places import CPU, REFERENCE, device_platform
+from starts import context_of, positions_of, put, velocities_of
 
 ROOT = Path(__file__).parents[2]
 

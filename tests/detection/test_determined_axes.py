@@ -6,6 +6,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import openmm_exactrb as rb
+from products import spread_over
 from starts import REFERENCE, positions_of, system_of
 
 _TETRAHEDRON = np.array([(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)]) / 16.0
@@ -81,9 +82,7 @@ def test_bodies_have_the_same_sites_however_they_are_turned_and_wherever_they_ar
     assert_allclose(handed[:1], handed[1:], rtol=0.0, atol=1e-16)
 
 
-@pytest.mark.parametrize("scheme", ["BAOA", "W2_3m", "W2_1"])
-@pytest.mark.parametrize("engine", ["host", "native"])
-@pytest.mark.parametrize("shape", SHAPES)
+@spread_over({"shape": SHAPES, "engine": ["host", "native"], "scheme": ["BAOA", "W2_3m", "W2_1"]}, times=2)
 def test_a_checkpoint_continues_the_run_in_a_new_context(shape, engine, scheme):
     """With the same noise and, for a processed scheme, in the same inner coordinates."""
     context = moving(shape, engine, scheme, start=1)

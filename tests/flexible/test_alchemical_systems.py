@@ -16,6 +16,8 @@ from openmm_exactrb.multiple_time_steps.excerpt import bonded_excerpt
 from openmm_exactrb.multiple_time_steps.stiffness import fastest, frequencies
 from openmm_exactrb.openmm_access.platforms import DEVICES
 from peptides import in_water, peptide
+from places import PLATFORMS
+from products import spread_over
 from starts import context_of, held
 
 pytestmark = pytest.mark.library
@@ -145,7 +147,7 @@ def test_angles_of_a_formula_are_as_fast_as_they_are(theta0):
 # -- steps ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("scheme", "friction"), SCHEMES)
+@spread_over({"scheme, friction": SCHEMES, "platform": PLATFORMS}, times=2, indirect=["platform"])
 def test_engines_agree_while_parameters_change(scheme, friction, platform):
     _, system, x = in_water("HBonds", 6)
     contexts = pair(alchemical(system), x, maker(scheme, friction=friction, fast="bonded"), platform=platform)
@@ -157,7 +159,7 @@ def test_engines_agree_while_parameters_change(scheme, friction, platform):
     assert apart(*contexts) < ROUNDOFF
 
 
-@pytest.mark.parametrize(("scheme", "friction"), SCHEMES)
+@spread_over({"scheme, friction": SCHEMES, "platform": PLATFORMS}, indirect=["platform"])
 def test_changed_parameters_are_those_of_a_new_context(scheme, friction, platform):
     _, system, x = in_water("HBonds", 6)
     make = maker(scheme, friction=friction, fast="bonded")
@@ -239,7 +241,7 @@ def test_derivatives_by_parameters_are_openmms(platform):
         assert theirs[name] == pytest.approx((values[1] - values[0]) / 2e-4, rel=1e-5)
 
 
-@pytest.mark.parametrize(("scheme", "friction"), [("W2_1", None), ("W2_3m", 2.0)])
+@spread_over({"platform": PLATFORMS, "scheme, friction": [("W2_1", None), ("W2_3m", 2.0)]}, indirect=["platform"])
 def test_a_checkpoint_has_the_parameters(scheme, friction, platform):
     _, system, x = in_water("HBonds", 6)
     _, context = pair(alchemical(system), x, maker(scheme, friction=friction, fast="bonded"), platform=platform)

@@ -11,7 +11,8 @@ from openmm_exactrb.engines.native.flexible import blocks
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.substeps import DRIFT, GradientKick
 from peptides import in_water, peptide, violations
-from places import device_platform
+from places import WHERE, device_platform
+from products import spread_over
 from starts import held
 
 pytestmark = pytest.mark.library
@@ -34,20 +35,20 @@ def assert_as_on_host(start, make, where, n=20):
     return contexts[1]
 
 
-@pytest.mark.parametrize(
-    ("scheme", "h", "constraints", "fast"),
-    [
-        ("TI2", 0.002, "HBonds", None),
-        ("Chin4A", 0.004, "HBonds", "bonded"),
-        ("Chin4B", 0.002, "AllBonds", "bonded"),
-        ("Chin4C", 0.002, "None", "bonded"),
-        ("W4_4", 0.004, "HBonds", "bonded"),
-        ("W4_4", 0.001, "HAngles", None),
-        ("W4_4", 0.001, "AllBonds", None),
-        ("V2_gradient_C17", 0.004, "None", "bonded"),
-        ("V2_gradient_C17", 0.001, "HAngles", None),
-    ],
-)
+CASES = [
+    ("TI2", 0.002, "HBonds", None),
+    ("Chin4A", 0.004, "HBonds", "bonded"),
+    ("Chin4B", 0.002, "AllBonds", "bonded"),
+    ("Chin4C", 0.002, "None", "bonded"),
+    ("W4_4", 0.004, "HBonds", "bonded"),
+    ("W4_4", 0.001, "HAngles", None),
+    ("W4_4", 0.001, "AllBonds", None),
+    ("V2_gradient_C17", 0.004, "None", "bonded"),
+    ("V2_gradient_C17", 0.001, "HAngles", None),
+]
+
+
+@spread_over({"scheme, h, constraints, fast": CASES, "where": WHERE}, indirect=["where"])
 def test_a_peptide_in_water_moves_as_on_the_host(scheme, h, constraints, fast, where):
     device = assert_as_on_host(in_water(constraints, 30), nested(scheme, h, fast=fast), where)
     if constraints != "None":
@@ -56,7 +57,7 @@ def test_a_peptide_in_water_moves_as_on_the_host(scheme, h, constraints, fast, w
         assert slip < 1e-11
 
 
-@pytest.mark.parametrize("scheme", ["Chin4A", "Chin4B"])
+@spread_over({"scheme": ["Chin4A", "Chin4B"], "where": WHERE}, indirect=["where"])
 def test_noise_is_that_of_the_host(scheme, where):
     make = nested(scheme, 0.002, friction=3.0, flexibleFriction=20.0)
     assert_as_on_host(in_water("AllBonds", 30), make, where)
@@ -73,7 +74,10 @@ def test_blocks_with_terms_in_common_are_displaced_as_one(scheme, monkeypatch):
 
 
 @pytest.mark.filterwarnings("ignore:the native engine has no kernel for")
-@pytest.mark.parametrize(("scheme", "constraints"), [("Chin4A", "HBonds"), ("Chin4B", "AllBonds"), ("W4_4", "HAngles")])
+@spread_over(
+    {"scheme, constraints": [("Chin4A", "HBonds"), ("Chin4B", "AllBonds"), ("W4_4", "HAngles")], "where": WHERE},
+    indirect=["where"],
+)
 def test_displaced_forces_are_slow_forces_where_openmm_evaluates_the_fast_ones(scheme, constraints, where):
     topology, system, x = in_water(constraints, 30)
     system.addForce(tether(0, topology.getNumAtoms() - 3))
@@ -97,7 +101,7 @@ def test_a_processed_run_continues_to_the_bit(where):
     np.testing.assert_array_equal(*twice_from(checkpoint, device, 1))
 
 
-@pytest.mark.parametrize("constraints", ["HBonds", "AllBonds", "None"])
+@spread_over({"constraints": ["HBonds", "AllBonds", "None"], "where": WHERE}, indirect=["where"])
 def test_displacements_that_are_too_long_fail_loudly(constraints, where):
     _, system, x = peptide(constraints)
     scheme = Scheme("far", 2, ((GradientKick(1e12), 1.0), (DRIFT, 1.0)))

@@ -13,6 +13,7 @@ from every_integrator import WAYS
 from openmm_exactrb.engines.library import of_library
 from openmm_exactrb.thermostats import HybridMonteCarlo, Langevin, NoseHooverChain, StochasticRescaling
 from places import platform_for
+from products import spread
 from starts import positions_of, velocities_of
 
 H, T = 0.001, 300.0
@@ -30,18 +31,14 @@ OURS = {
     "chains": lambda **engine: rb.ExactRigidBodyIntegrator(H, thermostat=NoseHooverChain(T, 20.0), **engine),
     "hybrid": lambda **_: rb.ExactRigidBodyIntegrator(H, thermostat=HybridMonteCarlo(T, 1.0)),
 }
-PLACES = [
-    ("Reference", "host"),
-    ("Reference", "auto"),
-    ("CPU", "auto"),
-    pytest.param(("OpenCL", "native"), marks=pytest.mark.opencl),
-]
+PROCESSORS = [pytest.param(*place) for place in (("Reference", "host"), ("Reference", "auto"), ("CPU", "auto"))]
 KINDS = [*THEIRS, *OURS]
+ON_DEVICES = [name for name in OURS if name != "hybrid"]  # which runs on the host
 
 
 def _water():
     """Return a System with forces in groups 0 and 3 and a parameter, and positions, in a periodic box."""
-    topology, system, positions = rb.rigid_water(64, nonbondedMethod=app.PME, nonbondedCutoff=0.5)
+    topology, system, positions = rb.rigid_water(64, nonbondedMethod=app.CutoffPeriodic, nonbondedCutoff=0.5)
     pull = openmm.CustomExternalForce("pull*x")
     pull.addGlobalParameter("pull", 0.0)
     for i in range(system.getNumParticles()):
@@ -89,16 +86,19 @@ def anything(request):
     return Run(request.param, ("Reference", "auto"))
 
 
-@pytest.fixture(params=PLACES, ids=lambda place: "-".join(place))
-def place(request):
-    return request.param
+def pytest_generate_tests(metafunc):
+    """Run each kind on two processors, and two on a device, where Contexts take long; they change from test to test."""
+    if "run" in metafunc.fixturenames:
+        number = list(vars(metafunc.module)).index(metafunc.function.__name__)
+        device = pytest.param("OpenCL", "native", marks=pytest.mark.opencl)
+        some = [ON_DEVICES[(2 * number + k) % len(ON_DEVICES)] for k in range(2)]
+        rows = [*spread(KINDS, PROCESSORS, times=2, offset=number), *spread(some, [device])]
+        metafunc.parametrize(("kind", "where", "engine"), rows)
 
 
-@pytest.fixture(params=KINDS)
-def run(request, place):
-    if request.param == "hybrid" and place[0] == "OpenCL":
-        pytest.skip("hybrid Monte Carlo runs on the host")
-    return Run(request.param, place)
+@pytest.fixture
+def run(kind, where, engine):
+    return Run(kind, (where, engine))
 
 
 def end(simulation):

@@ -19,6 +19,7 @@ from lifetimes import assert_freed_without_the_garbage_collector
 from openmm_exactrb.engines.library import Machine
 from openmm_exactrb.openmm_access.handed_out import FUNCTIONS
 from places import platform_for
+from products import spread_over
 from starts import context_of, positions_of, velocities_of
 
 pytestmark = pytest.mark.library
@@ -104,8 +105,7 @@ HOLDERS = {
 # -- the same bits ----------------------------------------------------------------------------------------------------
 
 
-@EVERYWHERE
-@pytest.mark.parametrize("holder", HOLDERS)
+@spread_over({"holder": HOLDERS, "platform, engine": PLACES}, times=2)
 def test_steps_are_those_of_the_integrator_alone(platform, engine, holder):
     alone = moving(langevin(engine), platform)
     alone.getIntegrator().step(7)

@@ -13,7 +13,8 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 from peptides import FORCE_FIELD, PEPTIDE, in_box
-from starts import CPU, REFERENCE, simulation_of
+from places import CPU
+from starts import REFERENCE, simulation_of
 
 LANGEVIN = openmm.LangevinMiddleIntegrator, openmm.LangevinIntegrator
 CLASSES = (*LANGEVIN, openmm.VerletIntegrator)

@@ -7,7 +7,8 @@ import pytest
 
 import openmm_exactrb as rb
 from peptides import in_box
-from starts import CPU, context_of, positions_of
+from places import CPU
+from starts import context_of, positions_of
 
 pytestmark = [pytest.mark.library, pytest.mark.filterwarnings("ignore")]
 reason = "pip install 'openmm-exactrb[validation]'"

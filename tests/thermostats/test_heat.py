@@ -12,7 +12,8 @@ from both_engines import begun, pair
 from graphs import GRAPHS, system_of
 from openmm_exactrb.openmm_access.platforms import DEVICES
 from peptides import in_water
-from places import REFERENCE
+from places import PLATFORMS, REFERENCE
+from products import in_pairs, spread_over
 from thermostatted import load, molecules, saved
 from zoo import every_kind, water
 
@@ -106,8 +107,7 @@ def told(integrator):
 
 
 @pytest.mark.filterwarnings("ignore:the CMMotionRemover removes the momentum that frozen particles")
-@pytest.mark.parametrize("removes", [0, 2], ids=["", "at rest"])
-@pytest.mark.parametrize("case", CASES)
+@spread_over({"case": CASES, "platform": PLATFORMS, "removes": [0, 2]}, times=2, indirect=["platform"])
 def test_kernels_tell_what_the_host_tells(case, removes, platform):
     contexts = CASES[case].started(removes, platform)
     host, kernels = (context.getIntegrator() for context in contexts)
@@ -137,8 +137,7 @@ def test_heat_may_be_asked_for_at_any_time(make, platform):
         integrator.temperaturesAroundThermostat()
 
 
-@pytest.mark.parametrize("friction", [2.0, 200.0])
-@pytest.mark.parametrize("removes", [0, 1])
+@in_pairs({"platform": PLATFORMS, "friction": [2.0, 200.0], "removes": [0, 1]}, indirect=["platform"])
 def test_without_forces_the_heat_is_what_openmm_finds_in_the_velocities(removes, friction, platform):
     """Drifts conserve kinetic energies, those of clusters along their constraints too."""
     system, x = clusters()
@@ -166,8 +165,14 @@ def test_without_forces_the_heat_is_what_openmm_finds_in_the_velocities(removes,
             assert mean == pytest.approx(0.5 * sum(kinetic[-2:]), rel=1e-11)
 
 
-@pytest.mark.parametrize("case", ["water", "clusters of two exchanges", "inner steps"])
-@pytest.mark.parametrize("kind", ["checkpoint", "State"])
+@in_pairs(
+    {
+        "case": ["water", "clusters of two exchanges", "inner steps"],
+        "kind": ["checkpoint", "State"],
+        "platform": PLATFORMS,
+    },
+    indirect=["platform"],
+)
 def test_saved_runs_go_on_with_their_heat(case, kind, platform):
     _, context = CASES[case].started(2, platform)
     integrator = context.getIntegrator()
@@ -200,7 +205,7 @@ def test_the_host_goes_on_with_the_heat_of_the_kernels():
     assert heats[1] == pytest.approx(heats[0], rel=1e-9)
 
 
-@pytest.mark.parametrize("case", ["water", "inner steps", "clusters"])
+@spread_over({"case": ["water", "inner steps", "clusters"], "platform": PLATFORMS}, indirect=["platform"])
 def test_settings_may_change_within_a_run(case, platform):
     contexts = CASES[case].started(1, platform)
     found = []
@@ -242,7 +247,7 @@ def test_heat_of_steps_that_diverge_is_not_counted(platform):
     assert found[0][0] != 0.0
 
 
-@pytest.mark.parametrize("case", ["water", "inner steps"])
+@spread_over({"platform": PLATFORMS, "case": ["water", "inner steps"]}, indirect=["platform"])
 def test_the_balance_is_conserved_over_a_run(case, platform):
     """It fluctuates by a fraction of what the thermostat exchanges."""
     _, context = CASES[case].started(1, platform)
