@@ -53,7 +53,7 @@ def test_a_drift_of_openmm_is_the_chord_with_noise_off_the_sphere():
     assert np.var(noise) == pytest.approx(1.0 - np.exp(-2.0 * h * friction), rel=0.05)
 
 
-@pytest.mark.parametrize("friction", [1.0, 3.0])
+@pytest.mark.parametrize("friction", [pytest.param(1.0, marks=pytest.mark.validate), 3.0])
 def test_the_error_of_averages_has_the_energy_of_the_chord(friction):
     """The errors of a rotor in a field over h², at three steps, go to the prediction; the next order is friction h³."""
     system, steps = Rotor(degree=7, nodes=11), np.array([0.02, 0.01, 0.005])

@@ -51,9 +51,15 @@ def predicted(motion, order, friction):
     return np.array(found).T
 
 
+#: Each scheme with one motion; with `--validate` also with the others.
+ALWAYS = [*zip(["quartic well", "with a spring in the drifts"] * 4, SCHEMES, strict=False), (ROTOR, "W2_3m")]
+OF_ROTORS = "BAOA", "W2_3m", "W2_4g"
+ALL = [(motion, name) for motion in MOTIONS for name in SCHEMES if motion != ROTOR or name in OF_ROTORS]
+
+
 @pytest.mark.parametrize(
     ("motion", "name"),
-    [(motion, name) for motion in MOTIONS for name in SCHEMES if motion != ROTOR or name in ("BAOA", "W2_3m", "W2_4g")],
+    [pytest.param(*case, marks=[] if case in ALWAYS else pytest.mark.validate) for case in ALL],
 )
 def test_the_error_of_averages_is_the_predicted_one_at_every_friction(motion, name):
     """Errors over h² approach the prediction as h²: their extrapolation to h = 0 from three steps agrees with it."""
@@ -111,7 +117,7 @@ def test_the_energy_of_an_oscillator_is_right_to_fourth_order(name):
         assert abs(left[1]) < 1e-12 or np.log2(left[0] / left[1]) == pytest.approx(6.0, abs=0.3)
 
 
-@pytest.mark.parametrize("field", [10.0, 20.0])
+@pytest.mark.parametrize("field", [10.0, pytest.param(20.0, marks=pytest.mark.validate)])
 def test_the_fourth_order_of_oscillators_is_most_of_that_of_a_rotor_in_a_strong_field(field):
     """Librations of water are less anharmonic: they have the amplitude of a rotor in a field of more than 20 kT."""
     system, scheme, friction = Rotor(field), steps_of("W2_3m")[0], 0.3 * np.sqrt(field)

@@ -29,6 +29,11 @@ def device_platform(names=DEVICES):
     return found or pytest.skip(missing)
 
 
+def has_device():
+    """Whether a platform has a device here."""
+    return _first(tuple(DEVICES))[0] is not None
+
+
 @cache
 def _first(names):
     """Return the first platform of these that has a device, or None and what is missing."""

@@ -17,6 +17,7 @@ from pathlib import Path
 import pytest
 
 from openmm_exactrb.engines import compilation, library
+from places import has_device
 
 ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="the compilers here are scripts")
@@ -65,7 +66,7 @@ class Machine:
         """Start a process with the package; it is the leader of a group."""
         return subprocess.Popen(
             [sys.executable, "-c", script],
-            env=self.environment | {"PYTHONPATH": str(self.package)},
+            env=self.environment | {"PYTHONPATH": f"{self.package}{os.pathsep}{ROOT / 'tests' / 'common'}"},
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -101,11 +102,24 @@ def assert_in_python(printed, logged, why):
 
 
 FAST = 'exec c++ "$@" -O0'
+# A compiler with a static C++ library of its own, which is usual on Linux alone.
+STATIC = 'exec c++ -static-libstdc++ "$@" -O0' if sys.platform == "linux" else FAST
+ON_DEVICE = """
+import openmm
+import openmm_exactrb as rb
+from places import device_platform
+_, system, positions = rb.rigid_water(8)
+integrator = rb.ExactRigidBodyIntegrator(0.002, "S2_2", engine="native")
+context = openmm.Context(system, integrator, device_platform())
+context.setPositions(positions)
+integrator.step(2)
+print(integrator.getEngine())
+"""
 
 
 @needs_compiler
 def test_many_processes_compile_once_and_a_killed_one_does_no_harm(machine):
-    machine.install(FAST)
+    machine.install(STATIC)
     killed = machine.start()
     while not list(machine.cache.glob(f"{compilation.TEMPORARY}*/*")):  # the compiler writes
         assert killed.poll() is None, killed.communicate()
@@ -125,6 +139,9 @@ def test_many_processes_compile_once_and_a_killed_one_does_no_harm(machine):
     for printed, _ in runs:
         assert str(path) in printed[-1]
         assert printed[-1].startswith("native; ")
+    if has_device():
+        machine.environment["HOME"] = str(Path.home())  # where PoCL stores its kernels
+        assert machine.run(ON_DEVICE)[0][-1] == "native"  # OpenMM warns about PoCL before
     # A wheel with this library needs no compiler, and writes nothing.
     machine.package = machine.folder / "site-packages"
     shutil.copytree(ROOT / "openmm_exactrb", machine.package / "openmm_exactrb")

@@ -1,11 +1,8 @@
 """The library: who may write where it is stored, what its name depends on, and what its functions refuse."""
 
 import ctypes
-import os
 import shutil
 import stat
-import subprocess
-import sys
 from pathlib import Path
 
 import openmm
@@ -15,7 +12,6 @@ from openmm_exactrb.engines import compilation
 from openmm_exactrb.engines import library as module
 from openmm_exactrb.engines.library import Machine, library
 from openmm_exactrb.errors import MissingLibraryError
-from places import device_platform
 
 pytestmark = pytest.mark.library
 
@@ -104,32 +100,6 @@ def test_without_a_program_it_is_a_custom_integrator():
     context.setPositions([[0.0, 0.0, 0.0]])
     integrator.step(2)
     assert context.getState(positions=True).getPositions()[0][1]._value == 2.0
-
-
-STEPS = """
-import openmm
-import openmm_exactrb as rb
-from places import device_platform
-_, system, positions = rb.rigid_water(8)
-integrator = rb.ExactRigidBodyIntegrator(0.002, "S2_2", engine="native")
-context = openmm.Context(system, integrator, device_platform())
-context.setPositions(positions)
-integrator.step(2)
-print(integrator.getEngine())
-"""
-
-
-@pytest.mark.opencl
-@pytest.mark.skipif(sys.platform != "linux", reason="a static C++ library is usual nowhere else")
-def test_a_compiler_with_a_static_c_library_makes_a_library_that_runs(cache, tmp_path):
-    device_platform()
-    compiler = tmp_path / "static"
-    compiler.write_text('#!/bin/sh\nexec c++ -static-libstdc++ "$@" -O0\n')
-    compiler.chmod(0o700)
-    paths = os.pathsep.join([str(ROOT), str(ROOT / "tests" / "common")])
-    environment = os.environ | {compilation.COMPILER: str(compiler), module.CACHE: str(cache), "PYTHONPATH": paths}
-    done = subprocess.run([sys.executable, "-c", STEPS], env=environment, capture_output=True, text=True, check=False)
-    assert done.stdout.endswith("native\n"), done.stderr  # OpenMM warns about PoCL before
 
 
 @needs_compiler
