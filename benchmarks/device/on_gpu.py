@@ -51,6 +51,7 @@ CLOCKS = {"wall": time.perf_counter, "cpu": time.process_time}
 OPENMM_DATA = Path(app.__file__).parent / "data"
 CHARMM = "charmm36.xml", "charmm36/water.xml"
 # What is tested first: schemes, bodies, noise and flexible molecules are those of the host.
+FOLDERS = [f"tests/{name}" for name in ("rigid", "flexible", "thermostats", "checkpoints", "changes")]
 TESTED = "moves_water or every_kind or noise_of_the_host or single_precision or peptide or checkpoint"
 
 
@@ -206,7 +207,7 @@ class Measurement:
 
     def test(self):
         """Run tests of the native engine on the platform, for a third of the time at most."""
-        command = [sys.executable, "-m", "pytest", "-q", "-x", "tests/engines/native", "-k", TESTED]
+        command = [sys.executable, "-m", "pytest", "-q", "-x", *FOLDERS, "-m", "opencl", "-k", TESTED]
         environment = os.environ | {"OPENMM_DEFAULT_PLATFORM": self.options.platform}
         begin = time.perf_counter()
         try:
