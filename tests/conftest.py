@@ -101,6 +101,16 @@ def every_engine(request):
     return request.param
 
 
+_DEVICE = pytest.param(("native", "device"), marks=pytest.mark.opencl)
+
+
+@pytest.fixture(params=[("host", "Reference"), ("native", "Reference"), _DEVICE], ids="-".join)
+def place(request):
+    """Return an engine and a platform, of each engine one."""
+    engine, name = request.param
+    return engine, REFERENCE if name == "Reference" else device_platform()
+
+
 @pytest.fixture(params=PLATFORMS)
 def platform(request):
     """Return a platform for which there are kernels."""

@@ -1,14 +1,26 @@
 """Barostats of OpenMM beside our integrators."""
 
+import copy
+import warnings
+
 import numpy as np
 import openmm
 import pytest
 from openmm import app
 
 import openmm_exactrb as rb
+from chains import nose_hoover
 from peptides import in_box
 from starts import context_of, positions_of
-from thermostatted import KT, boxes_and_momenta, ending_at_kicks, ideal_gas
+from thermostatted import (
+    KT,
+    boxes_and_momenta,
+    ending_at_kicks,
+    ideal_gas,
+    mean_and_error,
+    molecules,
+    simulation_of,
+)
 
 BAR = 0.06022140857  # kJ/mol/nm³
 
@@ -136,3 +148,82 @@ def test_water_has_the_density_that_openmm_finds_at_one_femtosecond(model):
     width = np.hypot(their_width, our_width)
     assert width < 1.5
     assert abs(ours - theirs) < 0.002 * theirs + width
+
+
+BAROSTATS = [
+    openmm.MonteCarloBarostat(1.0, 310.0),
+    openmm.MonteCarloAnisotropicBarostat(openmm.Vec3(1.0, 1.0, 1.0), 310.0),
+    openmm.MonteCarloFlexibleBarostat(1.0, 310.0),
+    openmm.MonteCarloMembraneBarostat(
+        1.0, 1.0, 310.0, openmm.MonteCarloMembraneBarostat.XYIsotropic, openmm.MonteCarloMembraneBarostat.ZFree
+    ),
+]
+
+
+@pytest.mark.parametrize("barostat", BAROSTATS, ids=lambda force: type(force).__name__)
+def test_a_barostat_must_have_the_same_temperature(barostat):
+    system, places = molecules(waters=2)
+    places[3:] += 0.5
+    periodic = openmm.NonbondedForce()
+    periodic.setNonbondedMethod(openmm.NonbondedForce.CutoffPeriodic)
+    for _ in range(6):
+        periodic.addParticle(0.0, 0.1, 0.0)
+    system.addForce(periodic)
+    system.addForce(copy.deepcopy(barostat))
+    simulation = simulation_of(rb.ExactRigidBodyLangevinIntegrator(300.0, 2.0, 0.002), system, places)
+    with pytest.raises(ValueError, match=r"Barostat is 310 K, but that of the integrator is 300 K: .*setParameter"):
+        simulation.integrator.step(1)
+    simulation.integrator.setTemperature(310.0)
+    simulation.integrator.step(1)
+    simulation.integrator.setTemperature(320.0)
+    simulation.context.setParameter(barostat.Temperature(), 320.0)
+    simulation.integrator.step(1)
+
+
+def test_a_barostat_of_the_same_temperature_acts_beside_it_and_another_one_is_refused():
+    """On the ideal gas of its pressure: <V> = (N + 1) kT / P."""
+    n, pressure = 20, 20.0
+    integrator = nose_hoover(0.01, 300.0)
+    integrator.setRandomNumberSeed(1)  # on OpenMM's Reference platform the barostat draws from the integrator's numbers
+    context = ideal_gas(integrator, pressure, waters=10, ions=10)
+    integrator.step(1500)
+    volumes, temperatures = [], []
+    for _ in range(200):
+        integrator.step(5)
+        volumes.append(context.getState().getPeriodicBoxVolume()._value)
+        temperatures.append([T._value for T in integrator.temperatures()])
+    mean, error = mean_and_error(volumes)
+    exact = (n + 1) * KT / (pressure * 0.06022140857)
+    assert error < 0.1 * exact
+    assert abs(mean - exact) < 4.0 * error
+    for T in np.transpose(temperatures):
+        mean, error = mean_and_error(T)
+        assert abs(mean - 300.0) < max(4.0 * error, 3.0)
+    integrator.setTemperature(310.0)
+    with pytest.raises(ValueError, match="Barostat is 300 K, but that of the integrator is 310 K"):
+        integrator.step(1)
+
+
+@pytest.mark.parametrize(
+    ("scheme", "frequency", "message"),
+    [
+        ("BAOA", 25, None),
+        ("W2_3m", 8, None),
+        ("W2_3m", 25, "every 25 steps, which are 300 fs, .* one every 4 fs: .* frequency to 8"),
+        ("W2_3m", 100, None),
+        ("S2_2", 25, None),
+        ("W2_3m", 0, None),
+    ],
+)
+def test_a_barostat_with_an_interval_for_single_evaluations_is_named(scheme, frequency, message):
+    _, system, positions = rb.rigid_water(64, nonbondedMethod=openmm.app.PME, nonbondedCutoff=0.5)
+    system.addForce(openmm.MonteCarloBarostat(1.0, 300.0, frequency))
+    integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 1.0, scheme=scheme, forceInterval=0.004)
+    _context = context_of(system, integrator, positions)
+    if message:
+        with pytest.warns(UserWarning, match=message):
+            integrator.step(1)
+    else:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            integrator.step(1)

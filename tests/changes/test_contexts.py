@@ -2,7 +2,6 @@
 
 import copy
 import sys
-import threading
 from functools import partial
 
 import numpy as np
@@ -13,15 +12,12 @@ import openmm_exactrb as rb
 from both_engines import apart, begun, maker, pair
 from openmm_exactrb.engines.library import Machine, library
 from openmm_exactrb.errors import IntegrationError, NonFiniteError
-from openmm_exactrb.openmm_access import platforms
-from openmm_exactrb.thermostats.hybrid import ExactRigidBodyHybridIntegrator
 from starts import held
 from zoo import water
 
 pytestmark = [pytest.mark.library, pytest.mark.opencl]
 LONG = pytest.mark.validate
 H = 0.001
-SAVED = ("checkpoint", "W2_1"), ("State", "S2_2")
 
 
 @pytest.fixture(scope="module")
@@ -57,12 +53,6 @@ def pull_that_fails(state, n):
 def lengths(context):
     x = held(context)[0].reshape(-1, 3, 3)
     return np.array([np.linalg.norm(x[:, i] - x[:, j], axis=1) for i, j in ((0, 1), (0, 2), (1, 2))])
-
-
-def centres(context):
-    """Return the centres of the molecules in units of the sides of the box, and its volume."""
-    sides = np.diagonal(context.getState().getPeriodicBoxVectors(asNumpy=True)._value)
-    return held(context)[0].reshape(-1, 3, 3).mean(axis=1) / sides, sides.prod()
 
 
 @pytest.mark.parametrize(
@@ -123,49 +113,6 @@ def test_a_parameter_and_a_box_act_from_the_next_call_on(box):
     assert apart(*contexts) < 1e-11
 
 
-@pytest.mark.parametrize("scheme", [pytest.param("S2_2", marks=LONG), "W2_1"])
-@pytest.mark.parametrize(
-    "barostat",
-    [
-        openmm.MonteCarloBarostat(1.0, 300.0, 3),
-        openmm.MonteCarloAnisotropicBarostat(openmm.Vec3(1, 1, 1), 300.0, True, True, True, 3),
-        openmm.MonteCarloMembraneBarostat(1.0, 0.0, 300.0, 0, 0, 3),
-        openmm.MonteCarloFlexibleBarostat(1.0, 300.0, 3),
-    ],
-    ids=lambda force: type(force).__name__,
-)
-def test_a_barostat_moves_whole_bodies_with_the_box(box, barostat, scheme):
-    """In steps so short that nothing else moves: centres keep their places in units of the sides, as OpenMM scales."""
-    system = copy.deepcopy(box[0])
-    force = copy.deepcopy(barostat)
-    force.setRandomNumberSeed(1)
-    system.addForce(force)
-    context = on_device((system, box[1]), make(scheme, 1e-6))
-    before, (was, volume) = lengths(context), centres(context)
-    context.getIntegrator().step(14)
-    now, other = centres(context)
-    assert abs(other / volume - 1.0) > 1e-6
-    np.testing.assert_allclose((now - was + 0.5) % 1.0, 0.5, rtol=0.0, atol=1e-4)  # thermal motion
-    np.testing.assert_allclose(lengths(context), before, rtol=0.0, atol=1e-12)
-
-
-def test_after_a_checkpoint_a_barostat_moves_bodies_where_its_own_count_says(box):
-    """OpenMM's barostats begin to count again in a new Context, while the motion is removed after each step."""
-    system = copy.deepcopy(box[0])
-    force = openmm.MonteCarloBarostat(1.0, 300.0, 4)
-    force.setRandomNumberSeed(1)
-    system.addForce(force)
-    system.addForce(openmm.CMMotionRemover(1))
-    one, other = (on_device((system, box[1]), make("W2_1", 1e-6)) for _ in range(2))
-    one.getIntegrator().step(10)
-    other.loadCheckpoint(one.createCheckpoint())
-    was, volume = centres(other)
-    other.getIntegrator().step(14)
-    now, after = centres(other)
-    assert abs(after / volume - 1.0) > 1e-6
-    np.testing.assert_allclose((now - was + 0.5) % 1.0, 0.5, rtol=0.0, atol=1e-4)  # thermal motion
-
-
 @pytest.mark.parametrize(("scheme", "frequency"), [pytest.param("S2_2", 1, marks=LONG), ("W2_1", 1), ("S2_2", 3)])
 def test_the_motion_of_the_centre_of_mass_is_removed_as_on_the_host(box, scheme, frequency):
     system = copy.deepcopy(box[0])
@@ -200,55 +147,6 @@ def test_molecules_that_openmm_wraps_and_reorders_move_on(box):
     moved = (held(contexts[1])[0] - box[1]).mean(axis=0)
     np.testing.assert_allclose(moved, 0.3 * np.array([5.0, -3.0, 2.0]), rtol=0.0, atol=0.1)
     assert apart(*contexts) < 1e-3  # chaos has had its time, and no box vector is between them
-
-
-@pytest.mark.parametrize(
-    ("how", "scheme"),
-    [("checkpoint", "S2_2"), ("State", "W2_1"), *(pytest.param(*case, marks=LONG) for case in SAVED)],
-)
-def test_a_new_context_continues_with_the_same_bits(box, scheme, how):
-    def fresh():
-        integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 1.0, H, engine="native") if scheme == "S2_2" else make()
-        return on_device(box, integrator)
-
-    one = fresh()
-    one.getIntegrator().step(8)
-    if how == "checkpoint":
-        saved = one.createCheckpoint()
-        one.loadCheckpoint(saved)
-    else:
-        state = one.getState(positions=True, velocities=True, integratorParameters=True)
-        text = openmm.XmlSerializer.serialize(state)
-        one = fresh()  # a run in which a State is set gets noise of its own
-        one.setState(openmm.XmlSerializer.deserialize(text))
-    other = fresh()
-    if how == "checkpoint":
-        other.loadCheckpoint(saved)
-    else:
-        other.setState(openmm.XmlSerializer.deserialize(text))
-    for context in (one, other):
-        context.getIntegrator().step(9)
-    assert apart(one, other) == 0.0 if how == "checkpoint" else apart(one, other) < 1e-12  # OpenMM sorts molecules anew
-
-
-@pytest.mark.parametrize("first", [True, False])
-def test_auto_continues_a_run_of_the_native_engine(box, first, monkeypatch):
-    """To the last bit, whether or not the engine was chosen before."""
-    scheme = "W2_1" if first else "S2_2"
-    one = on_device(box, make(scheme))
-    one.getIntegrator().step(8)
-    checkpoint = one.createCheckpoint()
-    one.loadCheckpoint(checkpoint)
-    one.getIntegrator().step(3)
-    integrator = rb.ExactRigidBodyIntegrator(H, scheme, engine="auto")
-    other = on_device(box, integrator, kelvin=None)
-    if first:
-        monkeypatch.setattr(platforms, "no_gpu", lambda context: None)  # else auto prefers the host
-        integrator.step(0)
-    other.loadCheckpoint(checkpoint)
-    integrator.step(3)
-    assert apart(one, other) == 0.0
-    assert integrator.getEngine() == "native"
 
 
 def test_a_state_that_is_not_finite_names_the_bodies_and_leaves_the_context(box):
@@ -311,18 +209,6 @@ def test_reading_energies_and_forces_and_minimising_leaves_the_run_right(box):
     assert energies[1] == pytest.approx(energies[0], rel=1e-9)
 
 
-def test_two_contexts_and_threads_do_not_disturb_each_other(box):
-    alone = on_device(box)
-    alone.getIntegrator().step(10)
-    contexts = [on_device(box) for _ in range(2)]
-    threads = [threading.Thread(target=context.getIntegrator().step, args=(10,)) for context in contexts]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert [apart(alone, context) for context in contexts] == [0.0, 0.0]
-
-
 def test_force_groups_are_respected(box):
     contexts = pair(*box, maker("S2_2", H))
     for context in contexts:
@@ -330,13 +216,6 @@ def test_force_groups_are_respected(box):
         context.getIntegrator().setIntegrationForceGroups({1})
         context.getIntegrator().step(5)
     assert apart(*contexts) < 1e-12
-
-
-def test_what_is_not_served_is_refused_with_a_sentence(box):
-    with pytest.raises(ValueError, match="the native engine supports only the exact rotor, not mclachlan_reich"):
-        rb.ExactRigidBodyIntegrator(H, rotor="mclachlan_reich", engine="native")
-    with pytest.raises(ValueError, match="the native engine does not support HybridMonteCarlo"):
-        ExactRigidBodyHybridIntegrator(300.0, 1.0, H, engine="native")
 
 
 def test_an_integrator_with_a_program_that_openmm_read_alone_performs_its_steps(box):

@@ -25,37 +25,6 @@ def periodic_water(n=216, **options):
     return rb.rigid_water(n, **(settings | options))
 
 
-def test_a_barostat_does_not_tear_bodies_named_by_hand():
-    """It scales the places of OpenMM's molecules, which only bonds and constraints make."""
-    topology, system, positions = periodic_water(125, nonbondedMethod=app.CutoffPeriodic)
-    while system.getNumConstraints():
-        system.removeConstraint(0)
-    barostat = openmm.MonteCarloBarostat(1e3 * unit.bar, 300.0 * unit.kelvin, 1)
-    barostat.setRandomNumberSeed(1)
-    system.addForce(barostat)
-    named = [[3 * k, 3 * k + 1, 3 * k + 2] for k in range(125)]
-
-    def fresh():  # not minimised: nothing would hold the molecules together
-        integrator = rb.ExactRigidBodyIntegrator(1e-7, bodies=named)
-        return simulation_of(topology, system, integrator, positions, platform=CPU)
-
-    barostat.setScaleMoleculesAsRigid(False)
-    with pytest.raises(ValueError, match=r"MonteCarloBarostat .*AsRigid\(True\)"):
-        fresh().step(1)
-    barostat.setScaleMoleculesAsRigid(True)
-    with pytest.raises(ValueError, match=r"tear apart body 0 .* by bonds"):
-        fresh().step(1)
-    bonds = openmm.HarmonicBondForce()
-    for oxygen, *hydrogens in named:
-        for hydrogen in hydrogens:
-            bonds.addBond(oxygen, hydrogen, 0.1, 0.0)
-    system.addForce(bonds)
-    simulation = fresh()
-    edge = simulation.context.getState().getPeriodicBoxVectors()[0][0]
-    simulation.step(10)
-    assert simulation.context.getState().getPeriodicBoxVectors()[0][0] != edge
-
-
 def test_a_shift_by_the_barostat_keeps_attitudes_to_the_bit():
     topology, system, positions = periodic_water(125)
     simulation = warm(topology, system, positions, platform=CPU)

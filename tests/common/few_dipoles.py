@@ -12,12 +12,12 @@ KT = 0.2 / unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / uni
 
 
 def simulation_of(
-    n=8, h=0.02, scheme="SRKN4_6b", rotor="exact", platform=REFERENCE, trap=0.5, engine="auto", **options
+    n=8, h=0.02, scheme="SRKN4_6b", rotor="exact", platform=REFERENCE, trap=0.5, engine="auto", seed=1, **options
 ):
     """Return a Simulation of n dipoles that is about to start, at the temperature `KT` (K)."""
-    topology, system, positions = rb.dipole_fluid(n, seed=1, trap=trap, **options)
+    topology, system, positions = rb.dipole_fluid(n, seed=seed, trap=trap, **options)
     integrator = rb.ExactRigidBodyIntegrator(h, scheme=scheme, rotor=rotor, engine=engine)
-    return starts.simulation_of(topology, system, integrator, positions, kelvin=KT, seed=2, platform=platform)
+    return starts.simulation_of(topology, system, integrator, positions, kelvin=KT, seed=seed + 1, platform=platform)
 
 
 def snapshot(simulation):

@@ -118,3 +118,10 @@ def test_the_script_of_the_readme_prints_why_the_kernels_take_the_steps(tmp_path
     step = "a step is 8 fs with 4 force evaluations, one every 2 fs"
     assert out.getvalue() == f"{NOTE.format('CPU')}; {step}\n"
     assert names["integrator"].getEngine() == "native"
+
+
+def test_what_the_kernels_do_not_serve_is_refused_with_a_sentence():
+    with pytest.raises(ValueError, match="the native engine supports only the exact rotor, not mclachlan_reich"):
+        NVE(0.001, rotor="mclachlan_reich", engine="native")
+    with pytest.raises(ValueError, match="the native engine does not support HybridMonteCarlo"):
+        rb.ExactRigidBodyHybridIntegrator(300.0, 1.0, 0.001, engine="native")

@@ -6,8 +6,8 @@ import pytest
 from openmm import app
 
 import openmm_exactrb as rb
-from both_engines import apart, begun, nested, pair
-from peptides import in_box, in_water, peptide, violations
+from both_engines import apart, nested, pair
+from peptides import in_water, peptide
 from places import platform_for
 from starts import context_of as reference_of
 from starts import held, positions_of
@@ -63,40 +63,6 @@ def test_sites_restraints_and_biases_change_as_on_the_host():
         context.getIntegrator().step(3)
     assert apart(*contexts) < 10.0 * before + 1e-12
     assert contexts[1].getIntegrator().getEngine() == "native"
-
-
-def test_a_barostat_moves_a_peptide_as_a_whole():
-    """In steps so short that nothing else moves."""
-    _, system, x = in_box()
-    held_to = reference_of(system, openmm.VerletIntegrator(0.001), x)
-    held_to.applyConstraints(1e-9)
-    force = openmm.MonteCarloBarostat(1.0, 300.0, 1)
-    force.setRandomNumberSeed(1)
-    system.addForce(force)
-    integrator = rb.ExactRigidBodyIntegrator(1e-6, "W2_1", fast="bonded", engine="native")
-    context = begun(system, positions_of(held_to), integrator, precision="double")
-    integrator.step(1)
-
-    def seen():
-        state = context.getState(positions=True)
-        peptide = state.getPositions(asNumpy=True)._value[:22]
-        return (
-            np.linalg.norm(peptide[:, None] - peptide, axis=-1),
-            peptide.mean(axis=0),
-            state.getPeriodicBoxVolume()._value,
-        )
-
-    before, centre, volume = seen()
-    for _ in range(40):
-        integrator.step(1)
-        now, there, other = seen()
-        if other != volume:
-            break
-    assert abs(other / volume - 1.0) > 1e-6
-    side = (other / volume) ** (1.0 / 3.0)
-    np.testing.assert_allclose(now, before, rtol=0.0, atol=1e-4)  # thermal motion
-    np.testing.assert_allclose(there, side * centre, rtol=0.0, atol=1e-4)
-    assert violations(system, *held(context))[0] < 1e-13
 
 
 def test_water_with_virtual_sites_moves_as_on_the_host():

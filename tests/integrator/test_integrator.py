@@ -1,9 +1,5 @@
 """ExactRigidBodyIntegrator in stock Simulations and bare Contexts."""
 
-import copy
-import pickle
-import threading
-
 import numpy as np
 import openmm
 import pytest
@@ -113,38 +109,6 @@ def test_a_bare_context_is_that_of_a_simulation():
     np.testing.assert_array_equal(starts.positions_of(context), starts.positions_of(simulation.context))
 
 
-def test_integrators_and_threads_do_not_disturb_each_other():
-    alone = simulation_of(4, h=0.01)
-    alone.integrator.step(30)
-    pair = [simulation_of(4, h=0.01) for _ in range(3)]
-    pair[0].integrator.step(10)
-    pair[1].integrator.step(30)
-    pair[0].integrator.step(20)
-    threads = [threading.Thread(target=pair[2].integrator.step, args=(30,))]
-    other = simulation_of(h=0.03)
-    threads.append(threading.Thread(target=other.integrator.step, args=(30,)))
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    for simulation in pair:
-        np.testing.assert_array_equal(snapshot(simulation)[0], snapshot(alone)[0])
-
-
-def test_copies_have_the_settings_and_no_context():
-    simulation = simulation_of(scheme="S6_10", rotor="mclachlan_reich", h=0.03)
-    simulation.integrator.setIntegrationForceGroups({0, 3})
-    for twin in (copy.copy(simulation.integrator), copy.deepcopy(simulation.integrator)):
-        assert twin.getScheme().name == "S6_10"
-        assert twin.getRotor() == "mclachlan_reich"
-        assert twin.getStepSize()._value == 0.03
-        assert twin.getIntegrationForceGroups() == 0b1001
-    twin = pickle.loads(pickle.dumps(simulation.integrator))
-    assert twin.getIntegrationForceGroups() == 0b1001
-    again = starts.simulation_of(simulation.topology, simulation.system, twin, snapshot(simulation)[0])
-    again.step(1)
-
-
 def test_the_cpu_platform_agrees_with_reference():
     ends = []
     for name in ("Reference", "CPU"):
@@ -184,56 +148,6 @@ def test_a_program_of_ones_own_is_refused(name, arguments, engine):
     with pytest.raises(ValueError, match=rf"has no {name}\(\), .* put your own Substep into the sequence"):
         getattr(integrator, name)(*arguments)
     assert openmm.XmlSerializer.serialize(integrator) == before
-
-
-@pytest.mark.parametrize("ask", [lambda integrator: integrator.step(1), lambda integrator: integrator.temperatures()])
-def test_a_second_thread_is_refused_within_a_step_and_the_first_one_loses_nothing(ask):
-    within, asked = threading.Event(), threading.Event()
-
-    def slow(state):
-        within.set()
-        asked.wait(600.0)
-        return 0.0, np.zeros((state.getPositions(asNumpy=True).shape[0], 3))
-
-    simulation = simulation_of(2)
-    simulation.system.addForce(openmm.PythonForce(slow))
-    simulation.context.reinitialize(preserveState=True)
-    thread = threading.Thread(target=simulation.integrator.step, args=(3,))
-    thread.start()
-    within.wait(600.0)
-    with pytest.raises(RuntimeError, match=r"already performing a step, .* give each thread its own integrator"):
-        ask(simulation.integrator)
-    asked.set()
-    thread.join()
-    assert simulation.context.getStepCount() == 3
-    simulation.integrator.step(1)
-    assert simulation.context.getStepCount() == 4
-
-
-class OfWater(rb.ExactRigidBodyLangevinIntegrator):
-    """An integrator with arguments of its own."""
-
-    def __init__(self, label):
-        super().__init__(300.0, 5.0, 0.004, scheme="BAOAB")
-        self.label = label
-
-
-@pytest.mark.parametrize("twin_of", [copy.copy, copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one))])
-def test_a_subclass_with_arguments_of_its_own_can_be_copied(twin_of):
-    simulation = simulation_of(2)
-    integrator = OfWater(["water"])
-    integrator.setTemperature(310.0)
-    integrator.setRandomNumberSeed(3)
-    _context = starts.context_of(simulation.system, integrator, snapshot(simulation)[0])
-    integrator.step(1)
-    twin = twin_of(integrator)
-    assert (type(twin), twin.label) == (OfWater, ["water"])
-    assert twin.getSettings() == integrator.getSettings()
-    assert set(vars(twin)) == set(vars(OfWater("water")))
-    assert twin.timings.evaluations == 0
-    again = starts.context_of(simulation.system, twin, snapshot(simulation)[0])
-    twin.step(1)
-    assert again.getStepCount() == 1
 
 
 @pytest.mark.parametrize("engine", ["host", "native"])

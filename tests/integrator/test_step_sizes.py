@@ -1,8 +1,5 @@
 """What a step is, how many steps a time takes, and intervals that were meant for steps of another size."""
 
-import warnings
-
-import openmm
 import pytest
 from openmm import unit
 
@@ -47,28 +44,3 @@ def test_an_integrator_says_what_a_step_is(integrator, said):
 )
 def test_the_steps_for_a_time_take_at_least_that_long(h, time, steps):
     assert rb.ExactRigidBodyIntegrator(h).stepsFor(time) == steps
-
-
-@pytest.mark.parametrize(
-    ("scheme", "frequency", "message"),
-    [
-        ("BAOA", 25, None),
-        ("W2_3m", 8, None),
-        ("W2_3m", 25, "every 25 steps, which are 300 fs, .* one every 4 fs: .* frequency to 8"),
-        ("W2_3m", 100, None),
-        ("S2_2", 25, None),
-        ("W2_3m", 0, None),
-    ],
-)
-def test_a_barostat_with_an_interval_for_single_evaluations_is_named(scheme, frequency, message):
-    _, system, positions = rb.rigid_water(64, nonbondedMethod=openmm.app.PME, nonbondedCutoff=0.5)
-    system.addForce(openmm.MonteCarloBarostat(1.0, 300.0, frequency))
-    integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 1.0, scheme=scheme, forceInterval=0.004)
-    _context = context_of(system, integrator, positions)
-    if message:
-        with pytest.warns(UserWarning, match=message):
-            integrator.step(1)
-    else:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            integrator.step(1)

@@ -12,10 +12,8 @@ from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.thermostats import NoseHooverChain
 from orders import exponent
 from thermostatted import (
-    KT,
     R,
     droplet_of,
-    ideal_gas,
     mean_and_error,
     molecules,
     simulation_of,
@@ -234,30 +232,3 @@ def test_momenta_of_zero_stay():
     simulation = simulation_of(integrator, *molecules(waters=1, ions=1))
     simulation.integrator.step(50)
     assert integrator.temperatures()[0]._value == integrator.temperatures()[1]._value == 0.0
-
-
-# -- beside a barostat ------------------------------------------------------------------------------------------------
-
-
-def test_a_barostat_of_the_same_temperature_acts_beside_it_and_another_one_is_refused():
-    """On the ideal gas of its pressure: <V> = (N + 1) kT / P."""
-    n, pressure = 20, 20.0
-    integrator = nose_hoover(0.01, 300.0)
-    integrator.setRandomNumberSeed(1)  # on OpenMM's Reference platform the barostat draws from the integrator's numbers
-    context = ideal_gas(integrator, pressure, waters=10, ions=10)
-    integrator.step(1500)
-    volumes, temperatures = [], []
-    for _ in range(200):
-        integrator.step(5)
-        volumes.append(context.getState().getPeriodicBoxVolume()._value)
-        temperatures.append([T._value for T in integrator.temperatures()])
-    mean, error = mean_and_error(volumes)
-    exact = (n + 1) * KT / (pressure * 0.06022140857)
-    assert error < 0.1 * exact
-    assert abs(mean - exact) < 4.0 * error
-    for T in np.transpose(temperatures):
-        mean, error = mean_and_error(T)
-        assert abs(mean - 300.0) < max(4.0 * error, 3.0)
-    integrator.setTemperature(310.0)
-    with pytest.raises(ValueError, match="Barostat is 300 K, but that of the integrator is 310 K"):
-        integrator.step(1)

@@ -1,15 +1,11 @@
 """What a user sets, asks for and gets told."""
 
-import copy
-import pickle
-
 import numpy as np
 import openmm
 import pytest
 from openmm import app, unit
 
 import openmm_exactrb as rb
-from chains import nose_hoover
 from openmm_exactrb.context.updates import ContextUpdates, acting_updates
 from openmm_exactrb.schemes import Scheme, spelled
 from thermostatted import R, droplet_of, molecules, simulation_of, snapshot
@@ -55,28 +51,6 @@ def test_a_temperature_that_is_refused_leaves_the_one_there_was():
         assert integrator.getTemperature() == 300.0 * unit.kelvin
 
 
-COPIES = {
-    "langevin": langevin(310.0, 1.5, 0.004, "W2_4", "mclachlan_reich", 2.5, bodies=[[0, 1]]),
-    "baoab": langevin(scheme="BAOAB"),
-    "rescaling": rb.ExactRigidBodyRescalingIntegrator(300.0, 0.5, 0.004, together=False),
-    "hybrid": rb.ExactRigidBodyHybridIntegrator(300.0, 0.5, 0.004, stepsPerProposal=3),
-    "chains": nose_hoover(0.004, 310.0, 15.0, chainLength=4, numMTS=2, numYoshidaSuzuki=5, together=True),
-}
-
-
-@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
-@pytest.mark.parametrize("name", COPIES)
-def test_copies_have_all_settings(name, copied):
-    integrator = COPIES[name]
-    integrator.setRandomNumberSeed(7)
-    twin = copied(integrator)
-    assert type(twin) is type(integrator)
-    assert twin.getThermostat() == integrator.getThermostat()
-    assert twin.getSettings() == integrator.getSettings()
-    assert twin.getSeedInUse() == integrator.getSeedInUse() == 7
-    assert type(twin)(**twin.getSettings()["arguments"]).getThermostat() == integrator.getThermostat()
-
-
 def test_a_second_thermostat_is_refused():
     simulation = droplet_of(langevin())
     simulation.system.addForce(openmm.AndersenThermostat(300.0, 1.0))
@@ -115,36 +89,6 @@ def test_a_heat_exchange_without_a_thermostat_is_refused():
     assert snapshot(simulation) == before
     with pytest.raises(ValueError, match="BAOAB contains a thermostat"):
         rb.ExactRigidBodyIntegrator(0.01, scheme="BAOAB")
-
-
-BAROSTATS = [
-    openmm.MonteCarloBarostat(1.0, 310.0),
-    openmm.MonteCarloAnisotropicBarostat(openmm.Vec3(1.0, 1.0, 1.0), 310.0),
-    openmm.MonteCarloFlexibleBarostat(1.0, 310.0),
-    openmm.MonteCarloMembraneBarostat(
-        1.0, 1.0, 310.0, openmm.MonteCarloMembraneBarostat.XYIsotropic, openmm.MonteCarloMembraneBarostat.ZFree
-    ),
-]
-
-
-@pytest.mark.parametrize("barostat", BAROSTATS, ids=lambda force: type(force).__name__)
-def test_a_barostat_must_have_the_same_temperature(barostat):
-    system, places = molecules(waters=2)
-    places[3:] += 0.5
-    periodic = openmm.NonbondedForce()
-    periodic.setNonbondedMethod(openmm.NonbondedForce.CutoffPeriodic)
-    for _ in range(6):
-        periodic.addParticle(0.0, 0.1, 0.0)
-    system.addForce(periodic)
-    system.addForce(copy.deepcopy(barostat))
-    simulation = simulation_of(langevin(), system, places)
-    with pytest.raises(ValueError, match=r"Barostat is 310 K, but that of the integrator is 300 K: .*setParameter"):
-        simulation.integrator.step(1)
-    simulation.integrator.setTemperature(310.0)
-    simulation.integrator.step(1)
-    simulation.integrator.setTemperature(320.0)
-    simulation.context.setParameter(barostat.Temperature(), 320.0)
-    simulation.integrator.step(1)
 
 
 def test_a_cold_start_may_be_heated_by_any_friction():

@@ -1,9 +1,7 @@
 """Integrators, Contexts and threads of one process do not disturb each other, and nothing is left of them."""
 
-import copy
 import gc
 import mmap
-import pickle
 import sys
 import threading
 import weakref
@@ -17,11 +15,15 @@ import openmm_exactrb as rb
 import starts
 import three_masses
 from benchmarks.paper import problems
+from both_engines import apart, begun, maker
+from few_dipoles import simulation_of, snapshot
 from lifetimes import assert_freed_without_the_garbage_collector
 from openmm_exactrb.mathematics import quaternions
 from openmm_exactrb.multiple_time_steps.inner_drift import ExcerptPositions
 from openmm_exactrb.openmm_access.find_context import find_context
 from peptides import peptide
+from starts import held
+from zoo import water
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
 KINDS = [("SRKN4_6b", "exact", 0.01), ("V2", "mclachlan_reich", 0.005), ("S2_4", "quaternion_a", 0.008)]
@@ -29,15 +31,7 @@ KINDS = [("SRKN4_6b", "exact", 0.01), ("V2", "mclachlan_reich", 0.005), ("S2_4",
 
 def context_of(kind, seed):
     scheme, rotor, h = kind
-    _, system, positions = rb.dipole_fluid(4, seed=seed, trap=0.5)
-    return starts.context_of(
-        system, rb.ExactRigidBodyIntegrator(h, scheme=scheme, rotor=rotor), positions, kelvin=20.0, seed=seed
-    )
-
-
-def result(context):
-    state = context.getState(positions=True, velocities=True)
-    return np.array([state.getPositions(asNumpy=True)._value, state.getVelocities(asNumpy=True)._value])
+    return simulation_of(4, h, scheme, rotor, seed=seed).context
 
 
 def together(*tasks):
@@ -81,7 +75,7 @@ def test_contexts_that_take_turns_or_run_in_threads_end_in_the_bits_of_runs_alon
     together(*(lambda c=context: [c.getIntegrator().step(5) for _ in range(4)] for context in threaded))
     for one, others in zip(alone, zip(by_turns, threaded, strict=True), strict=True):
         for other in others:
-            np.testing.assert_array_equal(result(other), result(one))
+            np.testing.assert_array_equal(held(other), held(one))
 
 
 def test_integrators_that_are_bound_in_threads_find_their_own_context(switching_often):
@@ -92,9 +86,9 @@ def test_integrators_that_are_bound_in_threads_find_their_own_context(switching_
     )
     for k, context in enumerate(contexts):
         bodies, state = found[k]
-        x = result(context)[0]
+        x = held(context)[0]
         np.testing.assert_allclose(bodies.positions(state, x.copy()), x, rtol=0.0, atol=1e-13)
-        assert all(np.abs(x - result(other)[0]).max() > 0.1 for other in contexts if other is not context)
+        assert all(np.abs(x - held(other)[0]).max() > 0.1 for other in contexts if other is not context)
 
 
 def test_a_search_for_the_context_breaks_no_tuple_that_another_thread_is_making(switching_often):
@@ -113,6 +107,14 @@ def test_a_search_for_the_context_breaks_no_tuple_that_another_thread_is_making(
             assert len(tuple(k for k in range(100))) == 100  # of a length that is not known beforehand
 
     together(search, make_tuples, make_tuples)
+
+
+def test_contexts_in_threads_do_not_disturb_each_other(place):
+    engine, platform = place
+    alone, *others = (begun(*water(), maker("W2_1", 0.001)(engine), platform=platform) for _ in range(3))
+    alone.getIntegrator().step(10)
+    together(*(lambda c=context: c.getIntegrator().step(10) for context in others))
+    assert [apart(alone, context) for context in others] == [0.0, 0.0]
 
 
 @pytest.mark.parametrize("method", rb.ROTORS)
@@ -184,30 +186,6 @@ def test_contexts_are_freed_without_the_garbage_collector(dropped):
     assert_freed_without_the_garbage_collector(dropped)
 
 
-@pytest.mark.parametrize(
-    ("name", "duplicate"),
-    [("V2", copy.copy), ("SRKN4_6b", copy.deepcopy), ("V2_C17", lambda x: pickle.loads(pickle.dumps(x)))],
-)
-def test_a_copy_of_an_integrator_moves_as_the_original(name, duplicate):
-    context = context_of((name, "exact", 0.005), 3)
-    context.getIntegrator().bodyState()
-    x, v = result(context)
-    twin = duplicate(context.getIntegrator())
-    other = starts.context_of(context.getSystem(), twin, x, v)
-    with pytest.raises(ValueError, match="no Context yet"):
-        duplicate(twin).step(1)
-    for integrator in (context.getIntegrator(), twin):
-        integrator.step(2)
-    np.testing.assert_allclose(result(other), result(context), rtol=0.0, atol=1e-13)
-
-
-def test_a_copy_keeps_the_bodies_named_by_hand():
-    integrator = rb.ExactRigidBodyIntegrator(0.01, bodies=[[0, 1, 2]])
-    for twin in (copy.deepcopy(integrator), pickle.loads(pickle.dumps(integrator))):
-        assert twin.getNamedBodies() is not None
-        assert twin.__reduce__() == integrator.__reduce__()
-
-
 @pytest.mark.parametrize(("rotor", "apart"), [("exact_compiled", 0.0), ("exact_numpy", 4e-15)])
 @pytest.mark.parametrize("t", [0.1, 5.0])
 def test_a_body_does_not_feel_the_others_of_its_array(rng, rotor, apart, t):
@@ -218,3 +196,45 @@ def test_a_body_does_not_feel_the_others_of_its_array(rng, rotor, apart, t):
         alone = rb.free_rotor(inertia[i : i + 1], q[i : i + 1], m[i : i + 1], t, rotor)
         for one, all_of_them in zip(alone, together, strict=True):
             np.testing.assert_allclose(one[0], all_of_them[i], rtol=0.0, atol=apart)
+
+
+def test_integrators_and_threads_do_not_disturb_each_other():
+    alone = simulation_of(4, h=0.01)
+    alone.integrator.step(30)
+    pair = [simulation_of(4, h=0.01) for _ in range(3)]
+    pair[0].integrator.step(10)
+    pair[1].integrator.step(30)
+    pair[0].integrator.step(20)
+    threads = [threading.Thread(target=pair[2].integrator.step, args=(30,))]
+    other = simulation_of(h=0.03)
+    threads.append(threading.Thread(target=other.integrator.step, args=(30,)))
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for simulation in pair:
+        np.testing.assert_array_equal(snapshot(simulation)[0], snapshot(alone)[0])
+
+
+@pytest.mark.parametrize("ask", [lambda integrator: integrator.step(1), lambda integrator: integrator.temperatures()])
+def test_a_second_thread_is_refused_within_a_step_and_the_first_one_loses_nothing(ask):
+    within, asked = threading.Event(), threading.Event()
+
+    def slow(state):
+        within.set()
+        asked.wait(600.0)
+        return 0.0, np.zeros((state.getPositions(asNumpy=True).shape[0], 3))
+
+    simulation = simulation_of(2)
+    simulation.system.addForce(openmm.PythonForce(slow))
+    simulation.context.reinitialize(preserveState=True)
+    thread = threading.Thread(target=simulation.integrator.step, args=(3,))
+    thread.start()
+    within.wait(600.0)
+    with pytest.raises(RuntimeError, match=r"already performing a step, .* give each thread its own integrator"):
+        ask(simulation.integrator)
+    asked.set()
+    thread.join()
+    assert simulation.context.getStepCount() == 3
+    simulation.integrator.step(1)
+    assert simulation.context.getStepCount() == 4
