@@ -9,7 +9,8 @@ import openmm_exactrb as rb
 from averages.test_virial import EDGE, KT, gas, pressure_of
 from openmm_exactrb.averages.frames import BAR
 from openmm_exactrb.averages.record import read
-from starts import REFERENCE, topology_of
+from places import REFERENCE
+from starts import topology_of
 
 
 @pytest.mark.parametrize("frozen", [(3,), (0, 5, 7), tuple(range(6)), tuple(range(11))])

@@ -11,8 +11,9 @@ from scipy.special import betainc
 import openmm_exactrb as rb
 from openmm_exactrb.averages.frames import BAR
 from openmm_exactrb.averages.record import read
+from places import REFERENCE
 from products import spread_over
-from starts import REFERENCE, context_of
+from starts import context_of
 
 R = 0.00831446261815324
 

@@ -11,7 +11,8 @@ import openmm_exactrb as rb
 from averages.test_corrections import reporting
 from openmm_exactrb.averages.frames import BAR
 from openmm_exactrb.averages.record import read
-from starts import REFERENCE, topology_of
+from places import REFERENCE
+from starts import topology_of
 
 KT, EDGE = 0.00831446261815324 * 300.0, 3.0
 

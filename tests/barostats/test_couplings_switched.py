@@ -49,7 +49,7 @@ def lattice(n=3, bonded=True):
     return system, np.asarray(positions._value if unit.is_quantity(positions) else positions)
 
 
-def context_of(integrator, force=None, engine="host", bonded=True, removes=False, changed=lambda force: None):
+def water_with(integrator, force=None, engine="host", bonded=True, removes=False, changed=lambda force: None):
     """Return a Context of water with a force, which is changed after the Context is created."""
     system, positions = lattice(bonded=bonded)
     if removes:
@@ -108,7 +108,7 @@ def test_a_barostat_that_never_acts_may_have_any_temperature(name, way, engine):
     for force in (made((BAROSTATS | WITHOUT_AXES)[name]), None):
         integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 1.0, 0.002, engine=engine)
         integrator.setRandomNumberSeed(1)
-        context = context_of(integrator, force, engine, changed=later if force else lambda context: None)
+        context = water_with(integrator, force, engine, changed=later if force else lambda context: None)
         box = edges(context)
         integrator.step(4)
         np.testing.assert_array_equal(edges(context), box)
@@ -140,7 +140,7 @@ def test_a_thermostat_without_collisions_is_no_second_thermostat(make, way, engi
     for coupled in (True, False):
         integrator = makers[make]()
         integrator.setRandomNumberSeed(1)
-        context = context_of(integrator, force if coupled else None, engine)
+        context = water_with(integrator, force if coupled else None, engine)
         if coupled and way == "parameter":
             context.setParameter(COLLISIONS, 0.0)
         integrator.step(4)
@@ -153,7 +153,7 @@ def test_a_barostat_that_never_acts_tears_no_body(name, engine):
     """Bodies that OpenMM does not take for molecules."""
     named = [[3 * k, 3 * k + 1, 3 * k + 2] for k in range(27)]
     integrator = rb.ExactRigidBodyIntegrator(0.001, bodies=named, engine=engine)
-    context = context_of(integrator, BAROSTATS[name](0), engine, bonded=False)
+    context = water_with(integrator, BAROSTATS[name](0), engine, bonded=False)
     integrator.step(2)
     coupling(context).setFrequency(1)
     before = places(context), edges(context)
@@ -171,7 +171,7 @@ def test_a_barostat_that_never_acts_may_scale_particles(name, engine):
     force = BAROSTATS[name](0)
     force.setScaleMoleculesAsRigid(False)
     integrator = rb.ExactRigidBodyIntegrator(0.001, engine=engine)
-    context = context_of(integrator, force, engine)
+    context = water_with(integrator, force, engine)
     integrator.step(2)
     coupling(context).setFrequency(3)
     with pytest.raises(
@@ -207,8 +207,8 @@ def test_friction_of_zero_is_no_coupling_either(thermostat, acts):
     assert thermostat.acts == acts
     force = BAROSTATS["isotropic"](1)
     integrator = rb.ExactRigidBodyIntegrator(0.001, "S2_2", thermostat=thermostat)
-    context_of(integrator, force) if acts else None
-    context = context_of(rb.ExactRigidBodyIntegrator(0.001, "S2_2", thermostat=thermostat), force)
+    water_with(integrator, force) if acts else None
+    context = water_with(rb.ExactRigidBodyIntegrator(0.001, "S2_2", thermostat=thermostat), force)
     integrator = context.getIntegrator()
     if not acts:
         integrator.step(2)
@@ -224,7 +224,7 @@ def test_friction_of_zero_is_no_coupling_either(thermostat, acts):
 @pytest.mark.parametrize("name", BAROSTATS)
 def test_a_barostat_is_noticed_when_it_is_switched_on_and_off(name, engine):
     integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 1.0, 0.001, engine=engine)
-    context = context_of(integrator, BAROSTATS[name](0), engine)
+    context = water_with(integrator, BAROSTATS[name](0), engine)
     integrator.step(7)
     box, force = edges(context), coupling(context)
     force.setFrequency(2)
@@ -258,7 +258,7 @@ def test_a_thermostat_is_noticed_when_collisions_begin(switch, engine):
 
     start = lattice()[1]
     heated = rb.ExactRigidBodyLangevinIntegrator(300.0, 1.0, 0.001, engine=engine)
-    context = context_of(heated, openmm.AndersenThermostat(300.0, 0.0), engine)
+    context = water_with(heated, openmm.AndersenThermostat(300.0, 0.0), engine)
     heated.step(3)
     on(context, 10.0)
     with pytest.raises(ValueError, match="AndersenThermostat, but this integrator also has a thermostat"):
@@ -266,7 +266,7 @@ def test_a_thermostat_is_noticed_when_collisions_begin(switch, engine):
     on(context, 0.0)
     heated.step(1)
     plain = rb.ExactRigidBodyIntegrator(0.001, engine=engine)
-    context = context_of(plain, openmm.AndersenThermostat(300.0, 0.0), engine)
+    context = water_with(plain, openmm.AndersenThermostat(300.0, 0.0), engine)
     plain.step(3)
     begin = plain.totalEnergy()._value
     plain.step(3)

@@ -6,7 +6,8 @@ import pytest
 from openmm import app
 
 import openmm_exactrb as rb
-from starts import REFERENCE, context_of, positions_of, velocities_of
+from places import REFERENCE
+from starts import context_of, positions_of, velocities_of
 
 
 @pytest.mark.parametrize("interval", [1, 2, 3])

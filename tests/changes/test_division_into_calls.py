@@ -8,7 +8,7 @@ import openmm_exactrb as rb
 from peptides import in_water, peptide
 from places import CPU
 from products import in_pairs
-from starts import context_of, positions_of, velocities_of
+from starts import context_of, held
 
 # With several threads, forces differ from run to run.
 THREADS = {"Threads": "1"}
@@ -24,7 +24,7 @@ def shown_after(calls, start, platform, make):
     shown = {}
     for end, n in zip(accumulate(calls), calls, strict=True):
         integrator.step(n)
-        shown[end] = np.array([positions_of(context), velocities_of(context)])
+        shown[end] = held(context)
     return shown
 
 

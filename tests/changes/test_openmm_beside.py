@@ -8,8 +8,8 @@ from openmm import app, unit
 from scipy import stats
 
 import openmm_exactrb as rb
-from places import CPU
-from starts import REFERENCE, positions_of, simulation_of, warm
+from places import CPU, REFERENCE
+from starts import positions_of, simulation_of, warm
 
 pytestmark = pytest.mark.usefixtures("every_engine")
 

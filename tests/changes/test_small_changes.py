@@ -7,7 +7,7 @@ import pytest
 import openmm_exactrb as rb
 from peptides import moving, peptide, positions_of
 from places import platform_for
-from starts import force_of
+from starts import force_of, held
 
 SMALL = 1e-12  # nm, nm/ps
 BODY, ION = slice(3, 6), 6
@@ -23,7 +23,7 @@ def system():
     return system, np.array([*positions._value, (0.3, 0.6, 0.3)])
 
 
-def context_of(system, engine, scheme):
+def started(system, engine, scheme):
     system, positions = system
     integrator = rb.ExactRigidBodyIntegrator(0.001, scheme=scheme, engine=engine)
     context = openmm.Context(openmm.XmlSerializer.clone(system), integrator, *platform_for(engine))
@@ -31,11 +31,6 @@ def context_of(system, engine, scheme):
     integrator.setVelocitiesToTemperature(300.0, 1)
     integrator.step(3)
     return context
-
-
-def held(context):
-    state = context.getState(positions=True, velocities=True)
-    return state.getPositions(asNumpy=True)._value, state.getVelocities(asNumpy=True)._value
 
 
 def perturb(context):
@@ -60,7 +55,7 @@ def loaded(context, how):
 @pytest.mark.parametrize("how", ["stepped", "checkpoint", "state"])
 @pytest.mark.parametrize(("engine", "scheme"), [("host", "S2_2"), ("host", "W2_1"), ("native", "S2_2")])
 def test_changes_of_one_in_a_thousand_billion_are_taken_up(system, engine, scheme, how):
-    context = loaded(context_of(system, engine, scheme), how)
+    context = loaded(started(system, engine, scheme), how)
     integrator = context.getIntegrator()
     _, before = integrator.bodyState()
     perturb(context)
@@ -79,7 +74,7 @@ def test_changes_of_one_in_a_thousand_billion_are_taken_up(system, engine, schem
 @pytest.mark.parametrize("scheme", ["S2_2", "W2_1"])
 def test_what_nobody_touches_keeps_its_bits(system, scheme, how):
     """Though what the Context holds is rounded, and the state is not."""
-    one, other = (context_of(system, "host", scheme) for _ in range(2))
+    one, other = (started(system, "host", scheme) for _ in range(2))
     loaded(other, how)
     for context in (one, other):
         context.getIntegrator().step(5)
@@ -94,7 +89,7 @@ def test_the_response_to_a_small_change_is_linear(system, scheme):
     """
     ends = []
     for size in (0.0, 1e-12, 1e-10):
-        context = context_of(system, "host", scheme)
+        context = started(system, "host", scheme)
         x, _ = held(context)
         x[ION, 0] += size
         context.setPositions(x)

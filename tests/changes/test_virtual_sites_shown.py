@@ -9,7 +9,7 @@ import starts
 from openmm_exactrb.engines import selection
 from places import REFERENCE, platform_for
 from products import in_pairs
-from starts import positions_of
+from starts import energy_of, positions_of
 
 PLACES = ["host", "no library", "kernels", pytest.param("OpenCL", marks=pytest.mark.opencl)]
 SHAPE = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [-0.02, 0.09, 0.0]])
@@ -48,10 +48,6 @@ def made(place, scheme):
             patch.setattr(selection, "adopt", lambda integrator: None)
         engine = "native" if place in ("kernels", "OpenCL") else "host"
         return rb.ExactRigidBodyIntegrator(0.002, scheme, engine=engine)
-
-
-def energy_of(context):
-    return context.getState(energy=True).getPotentialEnergy()._value
 
 
 def at_their_places(context):

@@ -6,8 +6,7 @@ import pytest
 import openmm_exactrb as rb
 from both_engines import apart, begun, maker
 from openmm_exactrb.openmm_access import platforms
-from places import device_platform
-from starts import REFERENCE
+from places import REFERENCE, device_platform
 from zoo import water
 
 H = 0.001

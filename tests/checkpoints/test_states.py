@@ -7,7 +7,7 @@ import pytest
 import openmm_exactrb as rb
 from places import platform_for
 from products import in_pairs
-from starts import simulation_of
+from starts import held, simulation_of
 
 H, T = 0.002, 300.0
 
@@ -44,11 +44,6 @@ def water(integrator, platform=None):
     topology, system, positions = rb.rigid_water(8)
     options = {} if platform is None else {"platform": platform}
     return simulation_of(topology, system, integrator, positions, kelvin=T, **options)
-
-
-def held(simulation):
-    state = simulation.context.getState(positions=True, velocities=True)
-    return np.concatenate([state.getPositions(asNumpy=True)._value, state.getVelocities(asNumpy=True)._value])
 
 
 @in_pairs({"theirs": THEIRS, "ours": OURS, "moved": [False, True]})

@@ -10,7 +10,6 @@ import openmm_exactrb as rb
 import starts
 
 KB = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
-REFERENCE = openmm.Platform.getPlatform("Reference")
 
 
 def simulation_of(n, density, kT, mu2, *, step, draw=0.5, sample=0.1, seed=1, **options):

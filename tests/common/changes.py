@@ -11,8 +11,8 @@ import openmm_exactrb as rb
 import starts
 from openmm_exactrb.engines import selection
 from openmm_exactrb.schemes import WITH_THERMOSTAT
-from places import platform_for
-from starts import REFERENCE, positions_of, velocities_of
+from places import REFERENCE, platform_for
+from starts import positions_of, velocities_of
 
 #: Where steps are performed: on the host, with integrators of the library or without one, or by the kernels.
 PLACES = ["host", "no library", "kernels", pytest.param("OpenCL", marks=pytest.mark.opencl)]

@@ -1,13 +1,12 @@
 """A few dipoles in a Simulation."""
 
-import openmm
 from openmm import unit
 
 import openmm_exactrb as rb
 import starts
 from openmm_exactrb.openmm_access import arrays
+from places import REFERENCE
 
-REFERENCE = openmm.Platform.getPlatform("Reference")
 KT = 0.2 / unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
 
 

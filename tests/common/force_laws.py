@@ -10,8 +10,6 @@ from openmm import unit
 import starts
 from openmm_exactrb.openmm_access import arrays
 
-REFERENCE = openmm.Platform.getPlatform("Reference")
-
 
 def context_of(system, positions):
     """Return a Context of a System on the Reference platform, with these positions (nm)."""
@@ -33,11 +31,6 @@ def evaluated(context):
     """Return the potential energy (kJ/mol) and the forces (n_particles, 3) in kJ/mol/nm."""
     state = context.getState(energy=True, forces=True)
     return state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole), arrays.forces(state)
-
-
-def positions_of(context):
-    """Return the positions (n_particles, 3) in nm."""
-    return arrays.positions(context.getState(positions=True))
 
 
 def energy_and_forces(force, positions, box=None):

@@ -7,9 +7,8 @@ import openmm
 from openmm import unit
 
 import openmm_exactrb as rb
-from force_laws import positions_of
 from openmm_exactrb.potentials import SoftDipoles
-from starts import context_of
+from starts import context_of, positions_of
 
 PARAMETERS = {"soft_repulsion": 4.0, "dipole_coupling": 2.0}
 FIELD = {"boundary": rb.ReactionField(cutoff=1.8, switch=1.0, dielectric=7.0), "density": 0.5}

@@ -13,7 +13,6 @@ from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.substeps import DRIFT
 from places import platform_for
 
-REFERENCE = openmm.Platform.getPlatform("Reference")
 R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
 KT = 300.0 * R
 
@@ -63,7 +62,7 @@ def trapped(waters, rods, ions, strength=1e4):
 
 def simulation_of(integrator, system, places):
     """Return a Simulation of molecules."""
-    return starts.simulation_of(starts.topology_of(system), system, integrator, places)
+    return starts.simulation_of(None, system, integrator, places)
 
 
 def droplet_of(integrator, n=4):

@@ -7,9 +7,8 @@ from openmm import app
 
 import openmm_exactrb as rb
 import small_molecules
-from force_laws import positions_of
 from openmm_exactrb.mechanics.minimise import MinimisationWarning
-from starts import context_of, simulation_of
+from starts import context_of, positions_of, simulation_of
 
 
 def spheres(distance, periodic=False):

@@ -8,9 +8,9 @@ import pytest
 from openmm import app
 
 import openmm_exactrb as rb
-from starts import R, apart, masses_of, positions_of, system_of, topology_of, velocities_of
-
-REFERENCE = openmm.Platform.getPlatform("Reference")
+from places import REFERENCE
+from starts import R, apart, masses_of, positions_of, system_of, velocities_of
+from thermostatted import simulation_of
 
 
 def domains(remover=False):
@@ -43,15 +43,9 @@ DOMAINS = [range(5), range(11, 16)]
 GROUPS = {"domains": [*range(5), *range(11, 16)], "linker": range(5, 11), "water": range(16, 28)}
 
 
-def simulation_of(system, x, integrator):
-    simulation = app.Simulation(topology_of(system), system, integrator, REFERENCE)
-    simulation.context.setPositions(x)
-    return simulation
-
-
 def test_the_minimiser_of_the_integrator_keeps_their_shape_and_openmms_is_refused():
     system, x = domains()
-    simulation = simulation_of(system, x, rb.ExactRigidBodyIntegrator(0.001, bodies=DOMAINS))
+    simulation = simulation_of(rb.ExactRigidBodyIntegrator(0.001, bodies=DOMAINS), system, x)
     before = simulation.context.getState(energy=True).getPotentialEnergy()
     for minimise in (simulation.minimizeEnergy, lambda: openmm.LocalEnergyMinimizer.minimize(simulation.context)):
         with pytest.raises(openmm.OpenMMException, match=r"deform the bodies .* call integrator\.minimizeEnergy\(\)"):
@@ -69,7 +63,7 @@ def test_the_minimiser_is_openmms_where_no_body_is_named():
     system, x = domains()
     ends = []
     for integrator in (rb.ExactRigidBodyIntegrator(0.001), openmm.VerletIntegrator(0.001)):
-        simulation = simulation_of(system, x, integrator)
+        simulation = simulation_of(integrator, system, x)
         simulation.minimizeEnergy(maxIterations=20)
         ends.append(positions_of(simulation))
     np.testing.assert_array_equal(*ends)
@@ -79,7 +73,7 @@ def test_the_minimiser_is_openmms_where_no_body_is_named():
 def test_temperatures_of_groups_are_those_of_momenta_that_were_drawn(remover):
     """Means over draws, against the temperature and the spread of chi-squared variables."""
     system, x = domains(remover)
-    simulation = simulation_of(system, x, rb.ExactRigidBodyIntegrator(0.001, bodies=DOMAINS))
+    simulation = simulation_of(rb.ExactRigidBodyIntegrator(0.001, bodies=DOMAINS), system, x)
     integrator, found = simulation.integrator, []
     for seed in range(400):
         integrator.setVelocitiesToTemperature(300, seed)
@@ -100,7 +94,7 @@ def shares(system):
 def test_groups_share_the_energy_of_all():
     system, x = domains()
     integrator = rb.ExactRigidBodyIntegrator(0.001, bodies=DOMAINS)
-    _kept = simulation_of(system, x, integrator)
+    _kept = simulation_of(integrator, system, x)
     integrator.setVelocitiesToTemperature(300, 1)
     of_groups, freedom = integrator.temperatures(groups=GROUPS), np.array([[6, 6], [18, 0], [12, 12]])
     temperatures = np.nan_to_num([[t._value for t in pair] for pair in of_groups.values()])
@@ -119,7 +113,7 @@ def test_groups_share_the_energy_of_all():
 def test_groups_that_are_none_are_refused(group, message):
     system, x = domains()
     integrator = rb.ExactRigidBodyIntegrator(0.001, bodies=DOMAINS)
-    _kept = simulation_of(system, x, integrator)
+    _kept = simulation_of(integrator, system, x)
     with pytest.raises(ValueError, match=message):
         integrator.temperatures(groups={"x": group})
 
@@ -127,7 +121,7 @@ def test_groups_that_are_none_are_refused(group, message):
 def test_a_group_has_all_atoms_of_a_cluster():
     system = system_of(3 * [12.0], [(k, k + 1, 0.15) for k in range(2)])
     integrator = rb.ExactRigidBodyIntegrator(0.001)
-    _kept = simulation_of(system, np.array([[0.0, 0.0, 0.0], [0.15, 0.0, 0.0], [0.15, 0.15, 0.0]]), integrator)
+    _kept = simulation_of(integrator, system, np.array([[0.0, 0.0, 0.0], [0.15, 0.0, 0.0], [0.15, 0.15, 0.0]]))
     integrator.setVelocitiesToTemperature(300, 1)
     (alone,) = integrator.temperatures(groups={"chain": range(3)}).values()
     assert alone[0]._value == pytest.approx(integrator.temperatures()[0]._value, rel=1e-12)
@@ -144,7 +138,7 @@ def test_a_body_whose_masses_openmm_moved_to_four_particles_is_pointed_out():
     for k in range(4, 12):
         system.setVirtualSite(k, openmm.LocalCoordinatesSite([0, 1, 2], [1, 0, 0], [-1, 1, 0], [-1, 0, 1], x[k]))
     integrator = rb.ExactRigidBodyIntegrator(0.001, bodies=[range(12)])
-    _kept = simulation_of(system, x, integrator)
+    _kept = simulation_of(integrator, system, x)
     with pytest.warns(rb.ShapeWarning, match="8 of the 12 particles of body 0 are virtual sites and do not contribute"):
         integrator.step(1)
 
@@ -188,7 +182,7 @@ def test_one_chain_never_turns_the_angular_momentum_of_a_lone_molecule(integrato
     system, x = lone_chain()
     integrator = integrator(bodies=DOMAINS)
     integrator.setRandomNumberSeed(1)
-    simulation = simulation_of(system, x, integrator)
+    simulation = simulation_of(integrator, system, x)
     integrator.setVelocitiesToTemperature(300, 1)
     before = angular_momentum(simulation.context)
     simulation.step(200)

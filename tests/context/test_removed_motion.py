@@ -8,8 +8,7 @@ import pytest
 
 import openmm_exactrb as rb
 from openmm_exactrb.context.updates import RemovedMotionWarning
-
-REFERENCE = openmm.Platform.getPlatform("Reference")
+from places import REFERENCE
 
 
 def droplet(remover, frozen=False, trapped=False, waters=8):

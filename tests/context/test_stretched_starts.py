@@ -11,8 +11,9 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 from openmm_exactrb.command.main import main
+from places import REFERENCE
 from products import in_pairs
-from starts import REFERENCE, context_of, positions_of, simulation_of, system_of, topology_of, velocities_of
+from starts import context_of, positions_of, simulation_of, system_of, topology_of, velocities_of
 
 SEEDS = st.integers(0, 2**32 - 1)
 ENGINES = ["host", "auto"]

@@ -11,9 +11,10 @@ import numpy as np
 import openmm
 import pytest
 from openmm import app, unit
-from test_temperatures import KB, MOLECULES, simulation_of
+from test_temperatures import KB, MOLECULES
 
 import openmm_exactrb as rb
+from thermostatted import simulation_of
 
 LADDER = np.array([200.0, 260.0])
 STATES = [{"temperature": kelvin * unit.kelvin} for kelvin in LADDER]
@@ -41,7 +42,7 @@ def trapped(name, redraw):
     scheme = "BAOAB" if redraw else None
     integrator = rb.ExactRigidBodyLangevinIntegrator(LADDER[0], 2 * FREQUENCY, STEP / FREQUENCY, scheme)
     integrator.setRandomNumberSeed(5)
-    simulation = simulation_of(system, np.tile(x, (COUNT, 1)), integrator)
+    simulation = simulation_of(integrator, system, np.tile(x, (COUNT, 1)))
     integrator.setVelocitiesToTemperature(LADDER[0], 5)
     simulation.step(20)
     return simulation

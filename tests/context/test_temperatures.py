@@ -9,10 +9,9 @@ import pytest
 from openmm import app, unit
 
 import openmm_exactrb as rb
-from starts import topology_of
+from thermostatted import simulation_of
 
 KB = 0.00831446261815324
-REFERENCE = openmm.Platform.getPlatform("Reference")
 BATH = 260.0
 TETRAHEDRON = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / 3**0.5
 STRAIGHT = np.outer([-1.0, 0.0, 2.0], [0.0, 0.06, 0.08])
@@ -62,12 +61,6 @@ def gas(names, named=False, remover=False):
     return system, np.concatenate(places), bodies or None, freedom
 
 
-def simulation_of(system, places, integrator, platform=(REFERENCE,)):
-    simulation = app.Simulation(topology_of(system), system, integrator, *platform)
-    simulation.context.setPositions(places)
-    return simulation
-
-
 def printed(simulation, steps, every=1):
     """Return the temperatures that OpenMM's reporter prints in some steps."""
     text = io.StringIO()
@@ -99,7 +92,7 @@ def of_particles(context, freedom):
 def test_openmms_reporter_prints_the_temperature_of_the_bodies(kind, names, named, remover):
     system, places, bodies, freedom = gas(names, named, remover)
     integrator = INTEGRATORS[kind](bodies=bodies)
-    simulation = simulation_of(system, places, integrator)
+    simulation = simulation_of(integrator, system, places)
     integrator.setVelocitiesToTemperature(BATH, 1)
     found = printed(simulation, 3)[-1]
     assert found == pytest.approx(of_particles(simulation.context, freedom), rel=1e-12)
@@ -117,7 +110,7 @@ def test_the_mean_that_it_prints_is_that_of_the_bath(names, named, remover):
     system, places, bodies, freedom = gas(3 * names, named, remover)
     integrator = rb.ExactRigidBodyLangevinIntegrator(BATH, 5e3, 0.002, bodies=bodies)
     integrator.setRandomNumberSeed(3)
-    simulation = simulation_of(system, places, integrator)
+    simulation = simulation_of(integrator, system, places)
     found = printed(simulation, 500)
     assert abs(found[20:].mean() - BATH) < 4.0 * BATH * np.sqrt(2.0 / (freedom * 480))
     of_groups = integrator.temperatures(groups={"all": range(system.getNumParticles())})["all"]
@@ -127,7 +120,7 @@ def test_the_mean_that_it_prints_is_that_of_the_bath(names, named, remover):
 def test_without_degrees_of_freedom_there_is_no_temperature():
     system, places, _, _ = gas(["ion"], remover=True)
     integrator = rb.ExactRigidBodyIntegrator(0.002)
-    simulation = simulation_of(system, places, integrator)
+    simulation = simulation_of(integrator, system, places)
     assert np.isnan(integrator.computeSystemTemperature().value_in_unit(unit.kelvin))
     assert np.isnan(printed(simulation, 1)).all()
 
@@ -143,7 +136,7 @@ def test_without_degrees_of_freedom_there_is_no_temperature():
 def test_a_context_draws_canonical_velocities_before_the_first_step(names, named, remover):
     """OpenMM's solver of constraints diverges for most of these molecules."""
     system, places, bodies, freedom = gas(names, named, remover)
-    simulation = simulation_of(system, places, rb.ExactRigidBodyIntegrator(0.002, bodies=bodies))
+    simulation = simulation_of(rb.ExactRigidBodyIntegrator(0.002, bodies=bodies), system, places)
     found = []
     for seed in range(1, 61):
         simulation.context.setVelocitiesToTemperature(BATH * unit.kelvin, seed)
@@ -161,7 +154,7 @@ def test_what_a_context_draws_does_not_bend_a_body(places):
         system.addParticle(12.0)
     for i, j in itertools.combinations(range(len(places)), 2):
         system.addConstraint(i, j, np.linalg.norm(places[i] - places[j]))
-    simulation = simulation_of(system, places, integrator := rb.ExactRigidBodyIntegrator(0.002))
+    simulation = simulation_of(integrator := rb.ExactRigidBodyIntegrator(0.002), system, places)
     for seed in range(1, 6):
         simulation.context.setVelocitiesToTemperature(BATH, seed)
         seen = of_particles(simulation.context, sum(integrator.degreesOfFreedom()))
@@ -178,7 +171,7 @@ def test_a_context_draws_for_molecules_that_the_box_splits():
     for _ in places:
         force.addParticle([])
     system.addForce(force)
-    simulation, found = simulation_of(system, split, rb.ExactRigidBodyIntegrator(0.002)), []
+    simulation, found = simulation_of(rb.ExactRigidBodyIntegrator(0.002), system, split), []
     for seed in range(1, 41):
         simulation.context.setPositions(split)
         simulation.context.setVelocitiesToTemperature(BATH, seed)
@@ -190,7 +183,7 @@ def test_the_context_and_the_integrator_draw_the_same():
     drawn = []
     for draws in (lambda s: s.context, lambda s: s.integrator):
         system, places, _, _ = gas(MIXED)
-        simulation = simulation_of(system, places, rb.ExactRigidBodyIntegrator(0.002))
+        simulation = simulation_of(rb.ExactRigidBodyIntegrator(0.002), system, places)
         draws(simulation).setVelocitiesToTemperature(BATH, 5)
         drawn.append(simulation.context.getState(velocities=True).getVelocities(asNumpy=True)._value)
     np.testing.assert_array_equal(*drawn)

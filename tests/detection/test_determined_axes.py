@@ -6,8 +6,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 import openmm_exactrb as rb
+from places import REFERENCE
 from products import spread_over
-from starts import REFERENCE, positions_of, system_of
+from starts import positions_of, system_of
 
 _TETRAHEDRON = np.array([(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)]) / 16.0
 _OCTAHEDRON = 0.156 * np.concatenate([np.eye(3), -np.eye(3)])

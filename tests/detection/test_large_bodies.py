@@ -15,7 +15,8 @@ from benchmarks.cost import large_bodies
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.mathematics import quaternions
 from openmm_exactrb.mechanics.fit import fit
-from starts import REFERENCE, context_of, system_of
+from places import REFERENCE
+from starts import context_of, system_of
 
 ATOMS, WATER = 200, 729  # no atom of the body is within the cutoff of the image of another one
 

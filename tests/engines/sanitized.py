@@ -22,8 +22,8 @@ from graphs import GRAPHS
 from graphs import system_of as clusters
 from openmm_exactrb.engines import library
 from peptides import in_water
-from places import CPU
-from starts import REFERENCE, positions_of
+from places import CPU, REFERENCE
+from starts import positions_of
 from zoo import every_kind, water
 
 EVERY_KIND = every_kind()

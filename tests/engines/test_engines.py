@@ -9,15 +9,15 @@ import openmm
 import pytest
 
 import openmm_exactrb as rb
-from few_dipoles import REFERENCE
 from openmm_exactrb.engines import ENGINES
 from openmm_exactrb.runs.checkpoint import Checkpoint
+from places import REFERENCE
 
 PACKAGE = Path(rb.__file__).parent
 HOST = ENGINES["host"]
 
 
-def context_of(integrator, seed=1):
+def moving_water(integrator, seed=1):
     """Return the Context of a few water molecules in motion."""
     _, system, positions = rb.rigid_water(3)
     context = openmm.Context(system, integrator, REFERENCE)
@@ -62,7 +62,7 @@ def test_an_engine_that_is_registered_makes_the_steps_that_are_asked_of_it(own, 
     for engine in ("own", "host"):
         arguments = (0.002, "S2_2") if kind == "plain" else (300.0, 1.0, 0.002, "BAOA")
         make = rb.ExactRigidBodyIntegrator if kind == "plain" else rb.ExactRigidBodyLangevinIntegrator
-        context = context_of(integrator := make(*arguments, engine=engine))
+        context = moving_water(integrator := make(*arguments, engine=engine))
         states.append(stepped(context))
         assert integrator.getEngine() == engine
         assert integrator.engineNote().startswith(f'engine="{engine}" was asked for; ')
@@ -75,7 +75,7 @@ def test_auto_takes_the_first_that_serves_and_pays(own):
     cases = (0.002, "S2_2", "own"), (0.007, "S2_2", "host"), (0.02, "S2_2", "host"), (0.002, "V2", "host")
     for h, scheme, name in cases:
         integrator = rb.ExactRigidBodyIntegrator(h, scheme)
-        context = context_of(integrator)
+        context = moving_water(integrator)
         assert integrator.getEngine() == name
         assert integrator.engineNote().startswith("its steps are short; ") == (name == "own")
         stepped(context, 1)
@@ -87,9 +87,9 @@ def test_what_an_engine_does_not_serve_is_an_error_where_it_was_asked_for(own):
     integrator = rb.ExactRigidBodyIntegrator(0.02, "S2_2", engine="own")
     assert "settings" in own
     with pytest.raises(ValueError, match=r"steps are too long: use engine='host' instead"):
-        context_of(integrator)
+        moving_water(integrator)
     integrator = rb.ExactRigidBodyIntegrator(0.002, "S2_2", engine="own")
-    context = context_of(integrator)
+    context = moving_water(integrator)
     stepped(context, 1)
     with pytest.raises(ValueError, match="steps are too long"):
         integrator.setStepSize(0.02)
@@ -116,7 +116,7 @@ def test_a_run_from_a_checkpoint_keeps_the_engine_whose_mark_it_has(own, monkeyp
     marked = replace(ENGINES["own"], marks=lambda settings: (8.0,))
     monkeypatch.setitem(ENGINES, "own", marked)
     integrator = rb.ExactRigidBodyIntegrator(0.002, "S2_2", engine="host")
-    context = context_of(integrator)
+    context = moving_water(integrator)
     integrator.setGlobalVariable(0, 8.0)
     with pytest.raises(ValueError, match='from a run with engine="own"'):
         integrator.step(1)

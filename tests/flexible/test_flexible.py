@@ -11,7 +11,8 @@ from scipy import stats
 import openmm_exactrb as rb
 from orders import slope
 from peptides import FORCE_FIELD, PEPTIDE, R, end_of, in_water, moving, peptide, positions_of, violations
-from starts import REFERENCE, context_of, force_of, simulation_of, system_of, velocities_of
+from places import REFERENCE
+from starts import context_of, force_of, simulation_of, system_of, velocities_of
 
 pytestmark = pytest.mark.usefixtures("every_engine")
 

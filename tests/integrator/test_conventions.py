@@ -14,7 +14,7 @@ from openmm_exactrb.engines.library import of_library
 from openmm_exactrb.thermostats import HybridMonteCarlo, Langevin, NoseHooverChain, StochasticRescaling
 from places import platform_for
 from products import spread
-from starts import positions_of, velocities_of
+from starts import held, positions_of, velocities_of
 
 H, T = 0.001, 300.0
 THEIRS = {
@@ -101,10 +101,6 @@ def run(kind, where, engine):
     return Run(kind, (where, engine))
 
 
-def end(simulation):
-    return np.array([positions_of(simulation.context), velocities_of(simulation.context)])
-
-
 # -- steps, counts and time -------------------------------------------------------------------------------------------
 
 
@@ -141,7 +137,7 @@ def test_equal_seeds_give_equal_runs(run):
         simulation = run.simulation()
         for n in calls:
             simulation.step(n)
-        ends.append(end(simulation))
+        ends.append(held(simulation))
     tolerance = 1e-13 if run.place == "Reference" else 1e-5
     np.testing.assert_allclose(ends[0], ends[1], rtol=0.0, atol=tolerance)
 
@@ -152,7 +148,7 @@ def test_equal_seeds_give_equal_runs(run):
 def test_constraints_hold_after_every_call(run):
     simulation = run.simulation()
     simulation.step(5)
-    x, v = end(simulation)
+    x, v = held(simulation)
     for k in range(SYSTEM.getNumConstraints()):
         i, j, length = SYSTEM.getConstraintParameters(k)
         apart = x[i] - x[j]
@@ -223,9 +219,9 @@ def test_parameters_and_positions_that_are_set_take_effect(run):
 def test_reinitialize_preserves_the_state_or_forgets_it(run):
     simulation = run.simulation(system=copy.deepcopy(SYSTEM))
     simulation.step(2)
-    before = end(simulation)
+    before = held(simulation)
     simulation.context.reinitialize(preserveState=True)
-    np.testing.assert_allclose(end(simulation), before, rtol=0.0, atol=run.close)
+    np.testing.assert_allclose(held(simulation), before, rtol=0.0, atol=run.close)
     assert simulation.context.getStepCount() == 2
     simulation.step(1)
     assert simulation.context.getStepCount() == 3
@@ -246,21 +242,21 @@ def test_checkpoints_continue_a_run(run):
     kept = io.BytesIO()
     simulation.saveCheckpoint(kept)
     simulation.step(4)
-    expected = end(simulation)
+    expected = held(simulation)
     simulation.loadCheckpoint(io.BytesIO(kept.getvalue()))
     assert (simulation.currentStep, simulation.context.getStepCount()) == (3, 3)
     simulation.step(4)
-    np.testing.assert_allclose(end(simulation), expected, rtol=0.0, atol=run.close)
+    np.testing.assert_allclose(held(simulation), expected, rtol=0.0, atol=run.close)
 
 
 def test_states_are_saved_and_loaded(run, tmp_path):
     simulation = run.simulation()
     simulation.step(3)
     simulation.saveState(str(tmp_path / "state.xml"))
-    saved = end(simulation)
+    saved = held(simulation)
     other = run.simulation(run.integrator(seed=6))
     other.loadState(str(tmp_path / "state.xml"))
-    np.testing.assert_allclose(end(other), saved, rtol=0.0, atol=1e-6)
+    np.testing.assert_allclose(held(other), saved, rtol=0.0, atol=1e-6)
     assert other.currentStep == 3
     other.step(1)
     assert other.context.getTime()._value == pytest.approx(4 * H, rel=1e-12)
@@ -278,7 +274,7 @@ def test_copies_are_of_the_same_class_and_move_alike(anything, way):
             assert openmm.XmlSerializer.serialize(copied) == openmm.XmlSerializer.serialize(original)
         other = anything.simulation(copied)
         other.step(4)
-        np.testing.assert_array_equal(end(other), end(simulation))
+        np.testing.assert_array_equal(held(other), held(simulation))
 
 
 # -- exceptions -------------------------------------------------------------------------------------------------------
@@ -318,7 +314,7 @@ def test_errors_of_forces_leave_a_context_that_can_go_on(run):
         simulation.integrator.step(1)
     broken.clear()
     simulation.integrator.step(1)
-    assert np.isfinite(end(simulation)).all()
+    assert np.isfinite(held(simulation)).all()
 
 
 def test_a_compound_steps_it(run):
@@ -332,4 +328,4 @@ def test_a_compound_steps_it(run):
     simulation = run.simulation(compound)
     simulation.context.setVelocities(drawn)
     simulation.step(3)
-    np.testing.assert_allclose(end(simulation), end(alone), rtol=0.0, atol=run.close)
+    np.testing.assert_allclose(held(simulation), held(alone), rtol=0.0, atol=run.close)

@@ -20,7 +20,7 @@ from openmm_exactrb.engines.library import Machine
 from openmm_exactrb.openmm_access.handed_out import FUNCTIONS
 from places import platform_for
 from products import spread_over
-from starts import context_of, positions_of, velocities_of
+from starts import context_of, held, velocities_of
 
 pytestmark = pytest.mark.library
 
@@ -75,10 +75,6 @@ def drawn(system, positions):
     return velocities_of(context)
 
 
-def state_of(context):
-    return np.array([positions_of(context), velocities_of(context)])
-
-
 def without_python(integrator):
     """Return an object of OpenMM's class, without a Python part, for a copy of an integrator."""
     text = openmm.XmlSerializer.serialize(integrator)
@@ -115,7 +111,7 @@ def test_steps_are_those_of_the_integrator_alone(platform, engine, holder):
     context = moving(held, platform)
     for n in (3, 0, 4):
         held.step(n)
-    np.testing.assert_array_equal(state_of(context), state_of(alone))
+    np.testing.assert_array_equal(held(context), held(alone))
     assert (context.getStepCount(), context.getTime()) == (7, alone.getTime())
 
 
@@ -130,7 +126,7 @@ def test_every_kind_of_dynamics_is_performed(name):
         contexts.append(moving(held, "Reference", system, positions))
         held.step(5)
     for context in contexts[1:]:
-        np.testing.assert_array_equal(state_of(context), state_of(contexts[0]))
+        np.testing.assert_array_equal(held(context), held(contexts[0]))
 
 
 @EVERYWHERE
@@ -149,7 +145,7 @@ def test_a_part_at_constant_energy_continues_where_another_integrator_stopped(pl
         other.setPositions(middle.getPositions())
         other.setVelocities(middle.getVelocities())
         fresh.step(3)
-        assert np.abs(state_of(context) - state_of(other))[0].max() < (1e-6 if platform == "CPU" else 1e-9)
+        assert np.abs(held(context) - held(other))[0].max() < (1e-6 if platform == "CPU" else 1e-9)
 
 
 @EVERYWHERE
@@ -172,7 +168,7 @@ def test_checkpoints_and_states_of_a_compound_continue_it(platform, engine):
         lambda context: context.setState(state),
         lambda context: context.setState(openmm.XmlSerializer.clone(state)),
     ):
-        np.testing.assert_allclose(state_of(run(5, loaded)), state_of(whole), rtol=0.0, atol=tolerance)
+        np.testing.assert_allclose(held(run(5, loaded)), held(whole), rtol=0.0, atol=tolerance)
 
 
 @EVERYWHERE
@@ -221,7 +217,7 @@ def test_a_part_of_a_user_is_copied_in_the_process():
     context = moving(copied)
     for one in (alone.getIntegrator(), copied):
         one.step(3)
-    np.testing.assert_array_equal(state_of(context), state_of(alone))
+    np.testing.assert_array_equal(held(context), held(alone))
 
 
 # -- errors, interruptions, lifetimes ---------------------------------------------------------------------------------
@@ -231,11 +227,11 @@ def test_a_part_of_a_user_is_copied_in_the_process():
 def test_errors_have_their_message_and_leave_the_state(platform, engine):
     compound = compound_of(rb.ExactRigidBodyIntegrator(0.5, engine=engine))
     context = moving(compound, platform)
-    before = state_of(context)
+    before = held(context)
     for _ in range(2):
         with pytest.raises(openmm.OpenMMException, match="step 1, after 0 ps"):
             compound.step(5)
-    np.testing.assert_allclose(state_of(context), before, rtol=0.0, atol=1e-6)
+    np.testing.assert_allclose(held(context), before, rtol=0.0, atol=1e-6)
     with pytest.raises(openmm.OpenMMException, match="number of steps must be a whole number"):
         compound.step(-1)
     with pytest.raises(openmm.OpenMMException, match="not bound to a context"):
@@ -271,7 +267,7 @@ def test_threads_step_compounds_at_the_same_time():
         context = moving(compound)
         for _ in range(10):
             compound.step(2)
-        ends[seed] = state_of(context)
+        ends[seed] = held(context)
 
     alone, together = {}, {}
     for seed in (1, 2, 3):

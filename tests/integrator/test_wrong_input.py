@@ -13,8 +13,8 @@ from openmm import app, unit
 import openmm_exactrb as rb
 import starts
 import three_masses
-from few_dipoles import REFERENCE, simulation_of, snapshot
-from places import platform_for
+from few_dipoles import simulation_of, snapshot
+from places import REFERENCE, platform_for
 
 # -- wrong input ------------------------------------------------------------------------------------------------
 

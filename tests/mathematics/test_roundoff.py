@@ -1,7 +1,6 @@
 """The error of a long run is that of the scheme and of roundoff without a bias, and a run can be turned back."""
 
 import numpy as np
-import openmm
 import pytest
 from mpmath import mp
 from openmm import app
@@ -14,9 +13,7 @@ from benchmarks.schemes import roundoff
 from openmm_exactrb.mathematics import quaternions
 from openmm_exactrb.mathematics.compensated import exactly
 from openmm_exactrb.rotors import rotor_of_sums
-
-REFERENCE = openmm.Platform.getPlatform("Reference")
-
+from places import REFERENCE
 
 # -- the flow -------------------------------------------------------------------------------------------------------
 

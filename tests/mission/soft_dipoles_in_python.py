@@ -18,7 +18,8 @@ import openmm_exactrb as rb
 from benchmarks.schemes import roundoff
 from openmm_exactrb.engines.library import of_library
 from openmm_exactrb.rotors import exact
-from starts import REFERENCE, positions_of, simulation_of, topology_of
+from places import REFERENCE
+from starts import positions_of, simulation_of, topology_of
 
 DIPOLES, RECORDS = 8, 10
 

@@ -18,7 +18,8 @@ from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.schemes.sequence import spelled
 from orders import slope
 from peptides import FORCE_FIELD, PEPTIDE, bonded_apart, end_of, moving, peptide, positions_of
-from starts import REFERENCE, context_of, force_of, system_of
+from places import REFERENCE
+from starts import context_of, force_of, system_of
 
 
 @pytest.mark.parametrize("constraints", ["HBonds", "None"])

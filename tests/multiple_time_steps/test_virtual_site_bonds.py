@@ -13,7 +13,8 @@ from openmm_exactrb.multiple_time_steps import virtual_sites
 from openmm_exactrb.multiple_time_steps.resonance import Resonances
 from openmm_exactrb.multiple_time_steps.stiffness import frequencies
 from openmm_exactrb.schemes import splitting
-from starts import REFERENCE, context_of, positions_of, system_of
+from places import REFERENCE
+from starts import context_of, positions_of, system_of
 
 SEEDS = st.integers(0, 2**32 - 1)
 WATER = np.array([[0.0, 0.0, 0.0], [0.09572, 0.0, 0.0], [-0.023999, 0.092663, 0.0]])

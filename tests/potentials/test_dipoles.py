@@ -12,10 +12,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import openmm_exactrb as rb
-from force_laws import assert_lawful, context_of, energy_and_forces, evaluated, positions_of, slope
+from force_laws import assert_lawful, context_of, energy_and_forces, evaluated, slope
 from openmm_exactrb.potentials import SoftDipoles
 from soft_dipoles import FIELD, PARAMETERS, arrows, assert_same, fluid, truncated
-from starts import masses_of
+from starts import masses_of, positions_of
 
 DATA = Path(__file__).parent.parent / "data"
 HEAD_TO_TAIL = [(0, 1), (2, 3)]

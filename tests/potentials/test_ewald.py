@@ -8,10 +8,11 @@ from openmm import unit
 
 import openmm_exactrb as rb
 import starts
-from force_laws import context_of, evaluated, positions_of
+from force_laws import context_of, evaluated
 from openmm_exactrb.potentials import SoftDipoles
 from plain_ewald import dipole_ewald
 from soft_dipoles import arrows, assert_same, dipoles_alone, fluid, liquid, sites_of
+from starts import positions_of
 
 # -- functions --------------------------------------------------------------------------------------------------
 

@@ -6,11 +6,11 @@ import pytest
 from openmm import app
 
 import openmm_exactrb as rb
-from force_laws import assert_lawful, evaluated, positions_of
+from force_laws import assert_lawful, evaluated
 from openmm_exactrb.openmm_access.platforms import DEVICES
-from places import device_platform
+from places import REFERENCE, device_platform
 from soft_dipoles import FIELD, arrows, assert_same, fluid
-from starts import REFERENCE, context_of
+from starts import context_of, positions_of
 
 OPEN = {}
 KERNELS = ("bonds", "compiled")

@@ -6,9 +6,10 @@ import pytest
 
 import openmm_exactrb as rb
 from benchmarks.dipoles import dipole_scale, nufft_ewald
-from force_laws import assert_gradient, context_of, evaluated, positions_of
+from force_laws import assert_gradient, context_of, evaluated
 from openmm_exactrb.potentials import ewald, ewald_errors
 from soft_dipoles import arrows, assert_same, dipoles_alone, fluid, liquid, sites_of, summed
+from starts import positions_of
 
 MESH = {"method": "mesh", "cutoff": 1.5, "tolerance": 1e-3}
 

@@ -9,7 +9,8 @@ from scipy.integrate import quad
 from scipy.special import beta, betainc
 
 import openmm_exactrb as rb
-from force_laws import REFERENCE, context_of, evaluated, slope
+from force_laws import context_of, evaluated, slope
+from places import REFERENCE
 
 #: A Stockmayer fluid, and one whose dipoles are hardly there.
 STOCKMAYER = {"attraction": 1.0, "dipole": (0.0, 0.0, 1.0), "inertia": (0.3, 0.3, 0.3), "perturbation": 0.08, "seed": 3}

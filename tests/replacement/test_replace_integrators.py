@@ -13,8 +13,8 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 from peptides import FORCE_FIELD, PEPTIDE, in_box
-from places import CPU
-from starts import REFERENCE, simulation_of
+from places import CPU, REFERENCE
+from starts import simulation_of
 
 LANGEVIN = openmm.LangevinMiddleIntegrator, openmm.LangevinIntegrator
 CLASSES = (*LANGEVIN, openmm.VerletIntegrator)

@@ -12,8 +12,8 @@ from openmm import app, unit
 import openmm_exactrb as rb
 from openmm_exactrb.replacement.clock import Clock
 from peptides import in_box
-from places import CPU
-from starts import REFERENCE, simulation_of
+from places import CPU, REFERENCE
+from starts import simulation_of
 
 K, PS, FS = unit.kelvin, unit.picosecond, unit.femtosecond
 

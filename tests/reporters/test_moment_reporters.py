@@ -12,7 +12,7 @@ import openmm_exactrb as rb
 import starts
 import three_masses
 from canonical_dipoles import moments_in, simulation_of
-from force_laws import positions_of
+from starts import positions_of
 
 
 def test_the_moment_is_the_sum_of_the_dipoles():

@@ -7,9 +7,10 @@ import pytest
 import charts
 import openmm_exactrb as rb
 import starts
-from few_dipoles import REFERENCE, energies, simulation_of, snapshot
+from few_dipoles import energies, simulation_of, snapshot
 from openmm_exactrb.mechanics.state import BodyState
 from orders import slope
+from places import REFERENCE
 
 pytestmark = pytest.mark.usefixtures("every_engine")
 

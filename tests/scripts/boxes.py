@@ -10,8 +10,8 @@ from openmm import Vec3, app, unit
 
 import openmm_exactrb as rb
 import starts
+from places import REFERENCE
 
-REFERENCE = openmm.Platform.getPlatform("Reference")
 DATA = Path(__file__).parents[1] / "data"
 CUTOFF, SWITCH = 0.45 * unit.nanometer, 0.35 * unit.nanometer
 FEMTOSECONDS = unit.femtoseconds

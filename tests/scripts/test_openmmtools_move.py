@@ -10,7 +10,7 @@ import pytest
 from openmm import app, unit
 
 import openmm_exactrb as rb
-from places import device_platform
+from places import REFERENCE, device_platform
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 reason = "pip install 'openmm-exactrb[validation]'"
@@ -20,7 +20,6 @@ multistate = pytest.importorskip("openmmtools.multistate", reason=reason)
 states = pytest.importorskip("openmmtools.states", reason=reason)
 from openmm_exactrb.openmmtools import ExactRigidBodyMove  # noqa: E402  # which needs openmmtools
 
-REFERENCE = openmm.Platform.getPlatform("Reference")
 SYSTEM, START = rb.rigid_water(8)[1:]
 KELVIN, PS, FS = unit.kelvin, unit.picosecond, unit.femtosecond
 

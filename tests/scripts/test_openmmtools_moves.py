@@ -4,12 +4,12 @@ import copy
 import pickle
 
 import numpy as np
-import openmm
 import pytest
 from openmm import unit
 
 import openmm_exactrb as rb
 from every_integrator import KINDS, made, others
+from places import REFERENCE
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 reason = "pip install 'openmm-exactrb[validation]'"
@@ -17,7 +17,6 @@ cache = pytest.importorskip("openmmtools.cache", reason=reason)
 mcmc = pytest.importorskip("openmmtools.mcmc", reason=reason)
 states = pytest.importorskip("openmmtools.states", reason=reason)
 
-REFERENCE = openmm.Platform.getPlatform("Reference")
 SYSTEM, START = rb.rigid_water(8)[1:]
 TEMPERATURE = 300 * unit.kelvin
 

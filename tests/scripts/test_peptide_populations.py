@@ -6,7 +6,8 @@ import pytest
 from openmm import app
 
 from benchmarks.proteins import peptide_populations as script
-from starts import REFERENCE, context_of
+from places import REFERENCE
+from starts import context_of
 
 
 def forces_at(system, x, platform=REFERENCE):

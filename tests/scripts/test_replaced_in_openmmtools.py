@@ -1,10 +1,10 @@
 """openmmtools' moves and samplers, whose integrators are replaced where they are OpenMM's."""
 
-import openmm
 import pytest
 from openmm import unit
 
 import openmm_exactrb as rb
+from places import REFERENCE
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 reason = "pip install 'openmm-exactrb[validation]'"
@@ -15,7 +15,6 @@ states = pytest.importorskip("openmmtools.states", reason=reason)
 
 SYSTEM, START = rb.rigid_water(8)[1:]
 FS, KELVIN = unit.femtosecond, unit.kelvin
-REFERENCE = openmm.Platform.getPlatform("Reference")
 
 
 @pytest.mark.parametrize(

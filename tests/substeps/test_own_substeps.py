@@ -13,13 +13,14 @@ from openmm import app
 import openmm_exactrb as rb
 import starts
 import three_masses
-from few_dipoles import KT, REFERENCE, simulation_of, snapshot
+from few_dipoles import KT, simulation_of, snapshot
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.rotors.flow import ascending
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.schemes.sequence import repeated, spelled
 from openmm_exactrb.substeps import DRIFT, KICK, Drift, GradientKick, Kick, Substep
 from orders import slope
+from places import REFERENCE
 
 pytestmark = pytest.mark.usefixtures("host_is_advised")
 

@@ -10,7 +10,8 @@ from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.mathematics import quaternions
 from openmm_exactrb.potentials import GayBerne
 from orders import exponent
-from starts import REFERENCE, context_of
+from places import REFERENCE
+from starts import context_of
 
 KB = 0.00831446261815324
 SHAPES = [(3.0, 5.0), (4.4, 20.0), (0.345, 0.2)]

@@ -8,8 +8,8 @@ import pytest
 
 import openmm_exactrb as rb
 from openmm_exactrb.mathematics import quaternions
+from places import REFERENCE
 
-REFERENCE = openmm.Platform.getPlatform("Reference")
 EDGE, K = 3.0, 6
 
 

@@ -9,9 +9,9 @@ import openmm
 import pytest
 
 import openmm_exactrb as rb
+from places import REFERENCE
 
 MODEL = SimpleNamespace(**runpy.run_path(str(Path(__file__).parents[2] / "examples" / "rigid_domains.py")))
-REFERENCE = openmm.Platform.getPlatform("Reference")
 
 
 def energies(x):

@@ -10,8 +10,9 @@ from openmm_exactrb.schemes.sequence import behind_exchange, palindromic
 from openmm_exactrb.schemes.thermostatted import with_thermostat
 from openmm_exactrb.substeps import DRIFT
 from peptides import in_water
+from places import REFERENCE
 from starts import simulation_of
-from thermostatted import REFERENCE, droplet_of, snapshot
+from thermostatted import droplet_of, snapshot
 
 KELVIN = 30.0
 STEPS = 0.02, 0.01, 0.005

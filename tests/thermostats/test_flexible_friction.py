@@ -11,7 +11,6 @@ import starts
 from openmm_exactrb.openmm_access.molecules import in_flexible_molecules
 from places import platform_for
 
-REFERENCE = openmm.Platform.getPlatform("Reference")
 FRICTION, TURNING, FLEXIBLE, H = 2.0, 3.0, 7.0, 0.01
 
 
@@ -40,7 +39,7 @@ def molecules():
 CHAIN = np.isin(np.arange(12), (0, 1, 2, 9, 10))
 
 
-def context_of(engine, flexible=FLEXIBLE, kelvin=0.0, **options):
+def started(engine, flexible=FLEXIBLE, kelvin=0.0, **options):
     system, x = molecules()
     integrator = rb.ExactRigidBodyLangevinIntegrator(
         kelvin, FRICTION, H, "BAOAB", rotationalFriction=TURNING, flexibleFriction=flexible, engine=engine, **options
@@ -63,7 +62,7 @@ def norm(m):
 @pytest.mark.parametrize("engine", ["host", pytest.param("native", marks=pytest.mark.opencl)])
 def test_momenta_fade_with_the_friction_of_their_molecule(engine):
     """Without noise, at 0 K; what is free turns with an angular momentum of the same norm."""
-    context = context_of(engine)
+    context = started(engine)
     bodies, flexible, P, m = momenta(context)
     context.getIntegrator().step(4)
     _, _, P1, m1 = momenta(context)
@@ -75,7 +74,7 @@ def test_momenta_fade_with_the_friction_of_their_molecule(engine):
 
 @pytest.mark.parametrize("engine", ["host", pytest.param("native", marks=pytest.mark.opencl)])
 def test_it_can_be_changed_and_taken_back(engine):
-    context = context_of(engine, None)
+    context = started(engine, None)
     integrator = context.getIntegrator()
     assert integrator.getFlexibleFriction()._value == FRICTION
     for coeff, expected in ((None, FRICTION), (FLEXIBLE, FLEXIBLE), (0.0, 0.0), (None, FRICTION)):
@@ -88,9 +87,9 @@ def test_it_can_be_changed_and_taken_back(engine):
 
 @pytest.mark.parametrize("engine", ["host", pytest.param("native", marks=pytest.mark.opencl)])
 def test_a_checkpoint_of_a_run_with_one_friction_is_continued_with_two(engine):
-    one = context_of(engine, None)
+    one = started(engine, None)
     one.getIntegrator().step(1)
-    two = context_of(engine)
+    two = started(engine)
     two.getIntegrator().step(1)
     two.loadCheckpoint(one.createCheckpoint())
     _, flexible, P, _ = momenta(two)
@@ -99,7 +98,7 @@ def test_a_checkpoint_of_a_run_with_one_friction_is_continued_with_two(engine):
 
 
 def test_the_same_friction_given_twice_has_the_bits_of_one():
-    runs = [context_of("host", flexible, kelvin=300.0) for flexible in (None, FRICTION)]
+    runs = [started("host", flexible, kelvin=300.0) for flexible in (None, FRICTION)]
     for context in runs:
         context.getIntegrator().setRotationalFriction(None)
         context.getIntegrator().step(5)
@@ -109,7 +108,7 @@ def test_the_same_friction_given_twice_has_the_bits_of_one():
 @pytest.mark.parametrize("engine", ["host", pytest.param("native", marks=pytest.mark.opencl)])
 def test_the_temperature_is_that_of_the_thermostat_in_both(engine):
     """Momenta drawn anew in each step, with hardly a friction or a huge one."""
-    context = context_of(engine, 1e6, kelvin=300.0)
+    context = started(engine, 1e6, kelvin=300.0)
     integrator = context.getIntegrator()
     integrator.setFriction(1e-6)
     integrator.setRotationalFriction(1e-6)
@@ -166,7 +165,7 @@ def squared_velocity(context, particles):
 
 
 def test_bodies_named_by_hand_join_molecules():
-    context = context_of("host")
+    context = started("host")
     bodies = context.getIntegrator().bodyState()[0]
     np.testing.assert_array_equal(in_flexible_molecules(context, bodies, None), CHAIN[bodies.first_particle])
     joined = in_flexible_molecules(context, bodies, [[3, 11]])

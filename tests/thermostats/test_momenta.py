@@ -7,13 +7,9 @@ from openmm import unit
 
 import openmm_exactrb as rb
 from openmm_exactrb.thermostats import NoseHooverChain
-from starts import simulation_of
+from starts import simulation_of, velocities_of
 
 R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
-
-
-def velocities_of(simulation):
-    return simulation.context.getState(velocities=True).getVelocities(asNumpy=True)._value
 
 
 def test_momenta_are_canonical_and_depend_on_seed_and_step_only():

@@ -25,11 +25,10 @@ from peptides import peptide
 from starts import held
 from zoo import water
 
-REFERENCE = openmm.Platform.getPlatform("Reference")
 KINDS = [("SRKN4_6b", "exact", 0.01), ("V2", "mclachlan_reich", 0.005), ("S2_4", "quaternion_a", 0.008)]
 
 
-def context_of(kind, seed):
+def dipoles(kind, seed):
     scheme, rotor, h = kind
     return simulation_of(4, h, scheme, rotor, seed=seed).context
 
@@ -65,10 +64,10 @@ def switching_often():
 
 def test_contexts_that_take_turns_or_run_in_threads_end_in_the_bits_of_runs_alone(switching_often):
     pairs = [(kind, seed) for kind in KINDS for seed in (1, 2)]
-    alone = [context_of(*pair) for pair in pairs]
+    alone = [dipoles(*pair) for pair in pairs]
     for context in alone:
         context.getIntegrator().step(20)
-    by_turns, threaded = ([context_of(*pair) for pair in pairs] for _ in range(2))
+    by_turns, threaded = ([dipoles(*pair) for pair in pairs] for _ in range(2))
     for _ in range(4):
         for context in by_turns:
             context.getIntegrator().step(5)
@@ -79,7 +78,7 @@ def test_contexts_that_take_turns_or_run_in_threads_end_in_the_bits_of_runs_alon
 
 
 def test_integrators_that_are_bound_in_threads_find_their_own_context(switching_often):
-    contexts = [context_of(KINDS[0], seed) for seed in range(6)]
+    contexts = [dipoles(KINDS[0], seed) for seed in range(6)]
     found = {}
     together(
         *(lambda k=k, c=context: found.update({k: c.getIntegrator().bodyState()}) for k, context in enumerate(contexts))
@@ -93,7 +92,7 @@ def test_integrators_that_are_bound_in_threads_find_their_own_context(switching_
 
 def test_a_search_for_the_context_breaks_no_tuple_that_another_thread_is_making(switching_often):
     """A tuple that something else refers to while it grows is a SystemError (_PyTuple_Resize)."""
-    context, over = context_of(KINDS[0], 1), threading.Event()
+    context, over = dipoles(KINDS[0], 1), threading.Event()
 
     def search():
         try:
