@@ -105,12 +105,12 @@ HOLDERS = {
 def test_steps_are_those_of_the_integrator_alone(platform, engine, holder):
     alone = moving(langevin(engine), platform)
     alone.getIntegrator().step(7)
-    held = HOLDERS[holder](langevin(engine))
+    holding = HOLDERS[holder](langevin(engine))
     if holder == "second part":
-        held.setCurrentIntegrator(1)
-    context = moving(held, platform)
+        holding.setCurrentIntegrator(1)
+    context = moving(holding, platform)
     for n in (3, 0, 4):
-        held.step(n)
+        holding.step(n)
     np.testing.assert_array_equal(held(context), held(alone))
     assert (context.getStepCount(), context.getTime()) == (7, alone.getTime())
 
@@ -122,9 +122,9 @@ def test_every_kind_of_dynamics_is_performed(name):
     for hold in (lambda one: one, compound_of, without_python):
         one = openmm.XmlSerializer.clone(integrator)
         one.setRandomNumberSeed(3)
-        held = hold(one)
-        contexts.append(moving(held, "Reference", system, positions))
-        held.step(5)
+        holding = hold(one)
+        contexts.append(moving(holding, "Reference", system, positions))
+        holding.step(5)
     for context in contexts[1:]:
         np.testing.assert_array_equal(held(context), held(contexts[0]))
 
@@ -179,9 +179,9 @@ def test_barostats_act_in_a_compound(platform, engine):
     system.addForce(barostat)
     boxes = []
     for hold in (lambda one: one, compound_of):
-        held = hold(langevin(engine))
-        context = moving(held, platform, system, positions)
-        held.step(12)
+        holding = hold(langevin(engine))
+        context = moving(holding, platform, system, positions)
+        holding.step(12)
         boxes.append(context.getState().getPeriodicBoxVolume()._value)
     assert boxes[0] != moving(langevin(engine), platform, system, positions).getState().getPeriodicBoxVolume()._value
     assert boxes[1] == pytest.approx(boxes[0], rel=1e-6 if platform == "CPU" else 1e-12)
