@@ -25,7 +25,7 @@ _LINK = re.compile(r"(!?)\[([^\]]*)\]\((?![a-z]+:|#)([^)]+)\)")
 #: The environment variable that asks for a wheel with the library, for the OpenMM of where it is built (python -m build
 #: --no-isolation). Other wheels are pure, and compile it at first use.
 PLATFORM_WHEEL = "EXACTRB_PLATFORM_WHEEL"
-_ENGINES = "openmm_exactrb/engines"
+_LIBRARY = "openmm_exactrb/library"
 
 
 class Library(BuildHookInterface):
@@ -36,12 +36,12 @@ class Library(BuildHookInterface):
         if self.target_name != "wheel" or version == "editable" or not os.environ.get(PLATFORM_WHEEL):
             return
         # The file alone, because the package cannot be imported where its requirements are not installed.
-        compilation = runpy.run_path(str(Path(self.root) / _ENGINES / "compilation.py"))
+        compilation = runpy.run_path(str(Path(self.root) / _LIBRARY / "compilation.py"))
         self._folder = tempfile.TemporaryDirectory()
         built = Path(self._folder.name) / compilation["BUNDLED"].name
         compilation["build"](built)
         built.chmod(0o755)
-        build_data["force_include"][str(built)] = f"{_ENGINES}/{built.name}"
+        build_data["force_include"][str(built)] = f"{_LIBRARY}/{built.name}"
         build_data["pure_python"], build_data["tag"] = False, f"py3-none-{_platform()}"
 
     def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 from openmm import unit
 from openmmtools.mcmc import BaseIntegratorMove
 
-from openmm_exactrb.thermostats import ExactRigidBodyLangevinIntegrator
+from openmm_exactrb.integrators.langevin import ExactRigidBodyLangevinIntegrator
 
 __all__ = ["ExactRigidBodyMove"]
 

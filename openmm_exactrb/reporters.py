@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from openmm import unit
 
 from openmm_exactrb.detection.whole import molecular_links
-from openmm_exactrb.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.integrators.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.mechanics.images import joined
 from openmm_exactrb.mechanics.links import Links
 from openmm_exactrb.openmm_access.molecules import molecule_of

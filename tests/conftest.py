@@ -11,7 +11,7 @@ from hypothesis import settings
 import compilation
 import openmm_exactrb as rb
 from openmm_exactrb.engines.catalogue import ENGINES
-from openmm_exactrb.engines.library import missing
+from openmm_exactrb.library.library import missing
 from openmm_exactrb.mathematics import quaternions
 from places import CPU, PLATFORMS, REFERENCE, WHERE, device_platform
 

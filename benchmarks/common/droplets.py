@@ -17,14 +17,15 @@ from numba import njit
 
 import openmm_exactrb as rb
 from benchmarks.common.starts import R, context_of
-from openmm_exactrb.kernels.compiled import exact
+from benchmarks.paper.compiled import jacobi_flow
 from openmm_exactrb.mathematics.quaternions import matrix
 from openmm_exactrb.mechanics.state import BodyState
-from openmm_exactrb.rotors.exact import constants
-from openmm_exactrb.substeps import DRIFT, KICK, GradientKick
+from openmm_exactrb.steps.substeps import DRIFT, KICK, GradientKick
 
 COULOMB = 138.93545764438198  # kJ/mol nm e^-2, 1/(4 pi epsilon0) as OpenMM has it
 _FAST = {"reassoc", "contract", "arcp", "nsz"}
+# The rule of `jacobi_flow` with which its integral of the third kind is exact.
+_CARLSON = (np.empty(0), np.empty(0))
 
 
 class Model(NamedTuple):
@@ -132,22 +133,21 @@ def _carry_out(R, P, q, m, known, sequence, h, body, molecule, work):
     kinds, parts, gradients = sequence
     sites, charges, sigma, epsilon, mass, inertia = molecule
     force, torque, force1, torque1, R1, q1, x, f = work
-    tau = np.empty(1)
     for place in range(len(kinds)):
-        tau[0] = parts[place] * h
+        tau = parts[place] * h
         if kinds[place] == 0:
-            R += P * (tau[0] / mass)
-            exact.advance(body, q, m, tau, q, m)
+            R += P * (tau / mass)
+            q[0], m[0] = jacobi_flow(body, False, _CARLSON, q[0], m[0], tau)
             known = False
             continue
         if not known:
             forces(R, q[0], sites, charges, sigma, epsilon, force, torque, x, f)
             known = True
         if kinds[place] == 1:
-            P += force * tau[0]
-            m[0] += torque * tau[0]
+            P += force * tau
+            m[0] += torque * tau
             continue
-        e = gradients[place] * tau[0] * tau[0]
+        e = gradients[place] * tau * tau
         for i in range(R.shape[1]):
             v0 = e * torque[0, i] / inertia[0]
             v1 = e * torque[1, i] / inertia[1]
@@ -178,10 +178,10 @@ def _carry_out(R, P, q, m, known, sequence, h, body, molecule, work):
             s0 = (1 - 2 * (b * b + c * c)) * t0 + 2 * (a * b + w * c) * t1 + 2 * (a * c - w * b) * t2
             s1 = 2 * (a * b - w * c) * t0 + (1 - 2 * (a * a + c * c)) * t1 + 2 * (b * c + w * a) * t2
             s2 = 2 * (a * c + w * b) * t0 + 2 * (b * c - w * a) * t1 + (1 - 2 * (a * a + b * b)) * t2
-            m[0, 0, i] += tau[0] * s0
-            m[0, 1, i] += tau[0] * s1
-            m[0, 2, i] += tau[0] * s2
-        P += force1 * tau[0]
+            m[0, 0, i] += tau * s0
+            m[0, 1, i] += tau * s1
+            m[0, 2, i] += tau * s2
+        P += force1 * tau
     return known
 
 
@@ -244,7 +244,7 @@ def run(model, state, scheme, h, duration, interval=0.02):
     q, m = q[None], m[None]
     every = max(1, round(interval / h))
     samples = max(1, round(duration / (every * h)))
-    body = constants(model.inertia[:, None].copy())
+    body = np.repeat(model.inertia[:, None], R.shape[1], axis=1)
     sequences = table(scheme.processor), table(scheme.sequence), table(scheme.postprocessor)
     energies = _run(R, P, q, m, (*model,), body, sequences, h, every, samples)
     return energies / R.shape[1], BodyState(R, P, q[0], m[0])

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from openmm_exactrb.constraints.clusters import ClusterKind, ClusterState
 from openmm_exactrb.mathematics.compensated import exactly
-from openmm_exactrb.mechanics.clusters import ClusterKind, ClusterState
 
 C, N, O, H = 12.011, 14.007, 15.999, 1.008
 _TETRAHEDRON = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / 3**0.5

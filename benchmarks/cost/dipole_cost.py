@@ -26,7 +26,7 @@ from benchmarks.common import lammps_peer
 from benchmarks.common.clocks import in_turns
 from benchmarks.common.records import keep
 from benchmarks.common.stockmayer import arrows
-from openmm_exactrb.kernels.compiled import pairs
+from openmm_exactrb.potentials.compiled import pairs
 
 STAGES = rb.SCHEMES["S6_10"].stages
 # Force evaluations a round and rounds.

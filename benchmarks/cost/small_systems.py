@@ -36,7 +36,7 @@ from benchmarks.common.proteins import FORCE_FIELD, PEPTIDE, helix, solvated
 from benchmarks.common.provenance import PROVENANCE, provenance
 from benchmarks.common.records import RECORDS, Record
 from benchmarks.common.starts import context_of
-from openmm_exactrb.engines.library import CACHE, library
+from openmm_exactrb.library.library import CACHE, library
 
 RUN = "system", "platform", "run", "beside"
 FOUND = "unit", *QUARTILES, "engine", *PROVENANCE

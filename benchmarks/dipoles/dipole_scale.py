@@ -31,8 +31,8 @@ from benchmarks.common.clocks import timed
 from benchmarks.common.pictures import plt
 from benchmarks.common.stockmayer import MU2, edge_of, relative_error
 from benchmarks.dipoles import nufft_ewald
-from openmm_exactrb import kernels
 from openmm_exactrb.potentials import SoftDipoles, ewald_errors
+from openmm_exactrb.potentials.compiled.mesh import fast_size
 
 SEARCHED = 8000  # the most dipoles for which settings of LAMMPS are searched
 DIRECT = 4096  # the most dipoles of which the direct sum is timed
@@ -153,7 +153,6 @@ def apart(found, exact):
 def fastest_peers(R, u, box, exact, cutoffs):
     """Return settings, errors and a run of the fastest LAMMPS for each level of error."""
     distance, found = (box**3 / len(R)) ** (1 / 3), {}
-    fast_size = kernels.load("mesh").fast_size
     for level, order, cutoff in itertools.product(LEVELS, (7, 5), cutoffs):
         if cutoff > 0.5 * box:
             continue
@@ -174,7 +173,7 @@ def scaled_peers(R, u, box, exact, like):
     found = {}
     for words in like:
         _, _, cutoff, _, points, _, _, _, order, _, alpha = words.replace(",", "").split()
-        points = kernels.load("mesh").fast_size(int(points) * box / edge_of(SEARCHED))
+        points = fast_size(int(points) * box / edge_of(SEARCHED))
         mesh = f"kspace_modify mesh {points} {points} {points} order {order} gewald {alpha}"
         consider(found, exact, (R, u, box, "pppm", 1e-3, float(cutoff), mesh))
     return list({each[1]: each[1:] for each in found.values()}.values())

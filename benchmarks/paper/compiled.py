@@ -11,12 +11,15 @@ from functools import partial
 import numpy as np
 from numba import njit
 
-from openmm_exactrb.kernels.compiled.elliptic import LANDEN, jacobi
-from openmm_exactrb.kernels.compiled.formulas import product
+from openmm_exactrb.mathematics import quaternions
+from openmm_exactrb.mathematics.elliptic import SEPARATRIX_LIMIT, TINY_PHASE
 from openmm_exactrb.rotors import moser_veselov
 
 CONVERGED, MOST_ITERATIONS = 1e-15, moser_veselov.MOST_ITERATIONS
+#: The largest number of steps of Landen's transformation.
+LANDEN = 24
 compiled = njit(error_model="numpy", fastmath={"arcp", "contract", "nsz"})  # reciprocals, and fused products
+product = njit(error_model="numpy", inline="always")(quaternions.product)
 
 
 def flow(name, inertia, third_kind=True):
@@ -105,6 +108,39 @@ def jacobi_step(moments, m, t, by_matrices, rule, means):
     w, x, y, z = turn
     m1 = with_norm(G * f1 * end[0], G * f2 * end[1], G * f3 * end[2], m, square)
     return (w, f1 * x, f2 * y, f3 * z), m1
+
+
+@njit(error_model="numpy")
+def jacobi(v, kc2, means):
+    """Return sn, cn, dn and the half turns of v, as `elliptic.jacobi` does."""
+    if kc2 == 0.0:
+        bounded = min(max(v, -SEPARATRIX_LIMIT), SEPARATRIX_LIMIT)
+        sech = 1.0 / math.cosh(bounded)
+        return math.tanh(bounded), sech, sech, 0.0
+    a, g, last = 1.0, math.sqrt(kc2), -1
+    converged = False
+    while not converged:
+        last += 1
+        means[0, last], means[1, last] = a, g
+        converged = abs(a - g) <= 1e-8 * a or last == LANDEN - 1
+        a, g = 0.5 * (a + g), math.sqrt(a * g)
+    phase = v * a
+    sine, cosine = math.sin(phase), math.cos(phase)
+    if abs(sine) < TINY_PHASE:
+        sn, cn, dn = v, math.copysign(1.0, cosine), 1.0
+    else:
+        t = cosine / sine
+        c = a * t
+        dn = 1.0
+        for k in range(last, -1, -1):
+            t = c * t
+            c = dn * c
+            dn = (means[1, k] + t) / (means[0, k] + t)
+            t = c / means[0, k]
+        sn = math.copysign(1.0 / math.hypot(1.0, c), sine)
+        cn = c * sn
+    odd = 1.0 if cn < 0.0 else 0.0
+    return sn, cn, dn, odd + 2.0 * np.rint(0.5 * (phase / math.pi - odd))
 
 
 @compiled

@@ -62,7 +62,7 @@ def costs(inertia, m, h, rounds):
     inertia, m, q = inertia[:, chosen], np.ascontiguousarray(m[:, chosen]), common.unit_attitudes(m.shape[1])
     calls = {("numpy", k): partial(rotor(k, inertia.T), q, m, h) for k in METHODS}
     calls |= {("compiled", k): partial(compiled.flow(k, inertia), q, m, h) for k in PAPER}
-    calls["compiled", "exact_numpy"] = partial(rotor("exact_compiled", inertia.T), q, m, h)
+    calls["compiled", "exact_numpy"] = partial(rotor("exact", inertia.T), q, m, h)
     found = {"numpy": {}, "compiled": {}}
     for (language, k), seconds in common.least_seconds(calls, rounds).items():
         found[language][k] = float(f"{seconds / m.shape[1]:.4g}")

@@ -18,8 +18,8 @@ from openmm_exactrb.mechanics.free_motion import rigid
 from openmm_exactrb.mechanics.state import Flow, State
 from openmm_exactrb.rotors import Rotor, rotor_of_sums
 from openmm_exactrb.schemes import Scheme
-from openmm_exactrb.schemes.sequence import repeated, run
-from openmm_exactrb.substeps import GradientKick, Substep, kick
+from openmm_exactrb.steps.sequence import repeated, run
+from openmm_exactrb.steps.substeps import GradientKick, Substep, kick
 from openmm_exactrb.support import checks
 
 Array = NDArray[np.float64]

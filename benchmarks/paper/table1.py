@@ -2,8 +2,7 @@
 
 The table shows the error and the cost of the exact methods for one long step. The reference is a Taylor series in
 double-double precision, whereas the paper used Matlab's ode45. The verdicts are based on ten draws of 100 bodies. The
-picture and the table show methods in numpy, except for one line of the table, which is marked as compiled and not used
-for any claim. The verdict on the integrals of the third kind is based on compiled methods, since the paper's programs
+picture and the table show methods in numpy. The verdict on the integrals of the third kind is based on compiled methods, since the paper's programs
 are in Fortran.
 """
 
@@ -29,7 +28,6 @@ PICTURES = {
     "the longest time, and the exact flow of this package the shortest."
 }
 METHODS = ("rotation", "quaternion_a", "exact_numpy")
-COMPILED = ("exact_compiled",)
 H = 5.0
 DRAWS = 10
 PAPER = {"rotation": 7.0865e-13, "quaternion_a": 3.3383e-13}
@@ -94,16 +92,16 @@ def compute(quick):
     reference, _ = taylor(inertia, m, H)
     rounds = 3 if quick else 15
     together = common.least_seconds(
-        {k: partial(rotor(k, inertia.T), common.unit_attitudes(n * draws), m, H) for k in METHODS + COMPILED}, rounds
+        {k: partial(rotor(k, inertia.T), common.unit_attitudes(n * draws), m, H) for k in METHODS}, rounds
     )
     alone = [
         common.least_seconds(
-            {k: partial(rotor(k, I), common.unit_attitudes(1), m[:, [body]], H) for k in METHODS + COMPILED}, rounds
+            {k: partial(rotor(k, I), common.unit_attitudes(1), m[:, [body]], H) for k in METHODS}, rounds
         )
         for body, I in enumerate(inertia.T[:n])
     ]
     data = {"methods": {}, "third_kind_share": third_kind_share(inertia, m, rounds)}
-    for method in METHODS + COMPILED:
+    for method in METHODS:
         q, _ = rotor(method, inertia.T)(common.unit_attitudes(m.shape[1]), m, H)
         data["methods"][method] = {
             "errors": [
@@ -146,14 +144,13 @@ def draw(data):
 
 def table(data):
     lines = []
-    for method in METHODS + COMPILED:
+    for method in METHODS:
         entry = data["methods"][method]
         errors, alone = np.array(entry["errors"]), np.array(entry["seconds_a_call_of_one"])
         medians = np.median(errors, axis=1)
         lines.append(
             (
                 method,
-                "compiled" if method in COMPILED else "numpy",
                 f"{np.median(errors):.1e}",
                 f"{medians.min():.1e} to {medians.max():.1e}",
                 f"{errors.std():.1e}",
@@ -162,7 +159,7 @@ def table(data):
                 f"{1e6 * entry['seconds_a_body_of_many']:.2f}",
             )
         )
-    header = ("method", "written in", "median error", "medians of the draws", "σ", "largest")
+    header = ("method", "median error", "medians of the draws", "σ", "largest")
     return common.markdown((*header, "µs per call of one body", f"µs per body of {errors.size}"), lines)
 
 

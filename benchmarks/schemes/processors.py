@@ -31,7 +31,7 @@ from scipy.optimize import least_squares
 import openmm_exactrb as rb
 from openmm_exactrb.schemes.scheme import processed
 from openmm_exactrb.schemes.stability import oscillated
-from openmm_exactrb.substeps import DRIFT, GradientKick
+from openmm_exactrb.steps.substeps import DRIFT, GradientKick
 
 DEGREES = 6  # series in two letters that do not commute, drifts and kicks, up to words of five of them
 SIZE = 2**DEGREES - 1

@@ -29,8 +29,8 @@ from benchmarks.common.starts import R, context_of, masses_of, positions_and_vel
 from benchmarks.paper import problems
 from openmm_exactrb.mathematics.compensated import exactly
 from openmm_exactrb.mechanics.state import State
-from openmm_exactrb.schemes.sequence import repeated, run
-from openmm_exactrb.substeps import Substep
+from openmm_exactrb.steps.sequence import repeated, run
+from openmm_exactrb.steps.substeps import Substep
 
 # Schemes and steps whose own energy error is small enough to see roundoff beside it; --truncation measures it.
 TOP_SCHEME, TOP_STEP = rb.SCHEMES["SRKN6_11b"], 0.02

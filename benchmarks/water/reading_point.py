@@ -27,7 +27,7 @@ from benchmarks.common.starts import R, context_of, put, simulation_of, thermost
 from benchmarks.proteins.protein_steps import KINDS, molecules, start_of
 from benchmarks.proteins.protein_steps import TEMPERATURE as OF_SOLUTE
 from openmm_exactrb.schemes import WITH_THERMOSTAT, Scheme
-from openmm_exactrb.substeps import DRIFT
+from openmm_exactrb.steps.substeps import DRIFT
 
 MOLECULES, TEMPERATURE, FRICTION = 216, 298.15, 5.0
 FREE = Scheme("free motion", 2, ((DRIFT, 1.0),))

@@ -25,7 +25,7 @@ import openmm_exactrb as rb
 from benchmarks.common.records import RECORDS, Record
 from benchmarks.common.starts import R, context_of
 from openmm_exactrb.schemes import Scheme, shadow, splitting
-from openmm_exactrb.substeps import HEAT_EXCHANGE
+from openmm_exactrb.steps.substeps import HEAT_EXCHANGE
 
 TEMPERATURE, APART = 298.15, 15.0  # K; how far two runs are from it
 STEP, WINDOW = 0.006, 400  # ps; steps of a window of the spectrum

@@ -15,7 +15,7 @@ from openmm_exactrb.averages.chord import Chords
 from openmm_exactrb.context.updates import ContextUpdates, warn_of_removed_motion
 from openmm_exactrb.context.watch import watch
 from openmm_exactrb.detection.find import find_bodies
-from openmm_exactrb.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.integrators.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.fit import fit
 from openmm_exactrb.mechanics.state import BodyState
@@ -28,9 +28,9 @@ from openmm_exactrb.schemes.step_errors import StepErrors, step_errors
 from openmm_exactrb.schemes.thermostatted import with_thermostat
 from openmm_exactrb.support.descriptions import mismatch
 from openmm_exactrb.support.types import Array
-from openmm_exactrb.thermostat import Thermostat
 from openmm_exactrb.thermostats.hybrid import HybridMonteCarlo
 from openmm_exactrb.thermostats.langevin import Langevin
+from openmm_exactrb.thermostats.thermostat import Thermostat
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from openmm.app.internal.unitcell import computeLengthsAndAngles
 from openmm_exactrb.context.solver import mended
 from openmm_exactrb.context.updates import names_of_updates
 from openmm_exactrb.detection.find import find_bodies
-from openmm_exactrb.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.integrators.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
 from openmm_exactrb.multiple_time_steps import virtual_sites
 from openmm_exactrb.multiple_time_steps.fast_forces import MultipleTimeSteps, fast_forces

@@ -14,15 +14,15 @@ from openmm import app
 
 from openmm_exactrb.command.inputs import Box, begin_at
 from openmm_exactrb.context.solver import mended
+from openmm_exactrb.integrators.langevin import ExactRigidBodyLangevinIntegrator
+from openmm_exactrb.integrators.states import read_xml
 from openmm_exactrb.mechanics.fit import ShapeWarning
 from openmm_exactrb.openmm_access.platforms import mixed, why_not_by_default
 from openmm_exactrb.runs import Run
 from openmm_exactrb.runs.signals import LostInterrupts
 from openmm_exactrb.schemes import scheme as look_up
-from openmm_exactrb.states import read_xml
 from openmm_exactrb.support.files import written_whole
 from openmm_exactrb.support.warn import warn
-from openmm_exactrb.thermostats import ExactRigidBodyLangevinIntegrator
 from openmm_exactrb.tuning.advice import CANDIDATES, progress, tune
 from openmm_exactrb.tuning.preparation import heat, minimise
 from openmm_exactrb.tuning.result import UnreachableError

@@ -14,10 +14,10 @@ import openmm_exactrb
 from openmm_exactrb.command import inputs
 from openmm_exactrb.command.description import described
 from openmm_exactrb.engines import ENGINES
+from openmm_exactrb.integrators.states import read_xml
 from openmm_exactrb.openmm_access.platforms import platforms, why_not_by_default
 from openmm_exactrb.rotors import ROTORS
 from openmm_exactrb.schemes import CATALOGUE, scheme_for_thermostat
-from openmm_exactrb.states import read_xml
 from openmm_exactrb.support.version import version
 
 #: The purpose of the subcommand, in one sentence.

@@ -19,7 +19,7 @@ from openmm import app, unit
 
 from openmm_exactrb.command import arguments
 from openmm_exactrb.command.topology import topology_of
-from openmm_exactrb.states import loadState, read_xml
+from openmm_exactrb.integrators.states import loadState, read_xml
 from openmm_exactrb.support.warn import warn
 from openmm_exactrb.systems.fluids import rigid_water
 from openmm_exactrb.systems.masses import heavy_hydrogens

@@ -14,7 +14,7 @@ from openmm import app
 
 from openmm_exactrb.averages import PressureOffset, pressure_offset
 from openmm_exactrb.command import analysis, arguments, equilibration, inputs, setup
-from openmm_exactrb.integrator import DEFAULT
+from openmm_exactrb.integrators.integrator import DEFAULT
 from openmm_exactrb.openmm_access.platforms import mixed, platform_of
 from openmm_exactrb.reporters import EnergyReporter
 from openmm_exactrb.runs import Run

@@ -12,9 +12,9 @@ from openmm import unit
 from openmm_exactrb.averages import PressureOffset
 from openmm_exactrb.command import arguments
 from openmm_exactrb.context.updates import UPDATES, frequency, names_of_updates
-from openmm_exactrb.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.integrators.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.integrators.langevin import ExactRigidBodyLangevinIntegrator
 from openmm_exactrb.rotors import ROTORS
-from openmm_exactrb.thermostats import ExactRigidBodyLangevinIntegrator
 
 #: Ensembles: constant energy, constant temperature, and constant temperature and pressure.
 ENSEMBLES = ("nve", "nvt", "npt")

@@ -10,8 +10,8 @@ import openmm
 
 from openmm_exactrb.context.dipole_boxes import DipoleBoxes
 from openmm_exactrb.context.synchronisation import Synchronisation
+from openmm_exactrb.mathematics.compensated import add
 from openmm_exactrb.mechanics.bodies import RigidBodies
-from openmm_exactrb.mechanics.free_motion import advancing
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.openmm_access.units import gas_constant_times
@@ -65,7 +65,6 @@ class ContextUpdates:
         self.has_thermostats = len(self._couplings) > len(self._barostats)
         dipoles = DipoleBoxes(context.getSystem())
         self._dipoles = dipoles if dipoles.any else None
-        self._advance = advancing()
         self._since_trial = [0] * len(self._barostats)  # updates since the last trial of each barostat
         self._frequencies: list[float] | None = None
         self._several = False
@@ -163,7 +162,7 @@ class ContextUpdates:
         """Return the state after a given step, with the centre of mass at rest if a removal is due; masses are (N,)."""
         if any(number % interval == 0 for interval in self._removals):
             velocity = state.P.sum(axis=(0, 2)) / mass.sum()
-            return state._replace(P=self._advance(state.P, velocity[:, None] * mass, -1.0))
+            return state._replace(P=add(state.P, -velocity[:, None] * mass))
         return state
 
     def due(self) -> int:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import openmm
 
+from openmm_exactrb.constraints.clusters import ClusterKind, Clusters, sorted_into_kinds
 from openmm_exactrb.detection.shapes import (
     RESIDUAL,
     held_rigid,
@@ -18,7 +19,6 @@ from openmm_exactrb.detection.shapes import (
 )
 from openmm_exactrb.detection.whole import whole_positions
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
-from openmm_exactrb.mechanics.clusters import ClusterKind, Clusters, sorted_into_kinds
 from openmm_exactrb.mechanics.fit import ShapeWarning
 from openmm_exactrb.openmm_access import arrays, parameters
 from openmm_exactrb.openmm_access.parameters import Rows

@@ -27,7 +27,7 @@ from openmm_exactrb.openmm_access.units import gas_constant_times
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.support.descriptions import unperformed
-from openmm_exactrb.thermostat import Thermostat
+from openmm_exactrb.thermostats.thermostat import Thermostat
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import openmm
 from openmm_exactrb.context import variables
 from openmm_exactrb.engines.catalogue import ENGINES, in_order, named
 from openmm_exactrb.engines.engine import Engine, Settings
-from openmm_exactrb.engines.library import adopt
+from openmm_exactrb.library.library import adopt
 
 #: The value of `engine` that selects the first engine that supports the Context and is recommended for it.
 AUTO = "auto"

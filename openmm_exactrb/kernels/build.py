@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import itertools
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any
 
-from numba import njit, types
+from numba import njit
 from numba.core import event
 from numba.core.caching import FunctionCache
 
@@ -23,39 +22,6 @@ _REORDERED = {"reassoc", "contract", "arcp", "nsz"}
 # Functions that only compiled code calls need no wrappers, which take longer to compile than a short function.
 _NO_WRAPPERS = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 _PACKAGE = Path(__file__).parent.parent
-
-
-def compiled(*arguments: str | type[Any]) -> _Decorator:
-    """Return a decorator that compiles a function when it is defined, or loads it from numba's cache.
-
-    The compiled function runs without Python's global lock. Its `arguments` are described by "f" for floats and "i" for
-    integers, followed by the number of axes for C-contiguous arrays. An uppercase character denotes an array that the
-    function writes to. For example, "f2 F1" denotes a matrix, and a vector for the result. A NamedTuple of
-    `openmm_exactrb.kernels.records` is passed as a class, because its fields declare their types.
-    """
-    signature = types.void(*itertools.chain.from_iterable(map(_types, arguments)))
-
-    def decorate(function: Function) -> Function:
-        dispatcher: Any = _cached(njit(error_model="numpy", nogil=True)(function))
-        dispatcher.compile(signature.args)
-        dispatcher.disable_compile()
-        ready: Function = dispatcher
-        return ready
-
-    return decorate
-
-
-def _types(argument: str | type[Any]) -> Sequence[Any]:
-    """Return numba's types for an argument of `compiled`."""
-    if isinstance(argument, str):
-        return [_type(word) for word in argument.split()]
-    fields = get_type_hints(argument, include_extras=True).values()
-    return [types.NamedTuple([_type(field.__metadata__[0]) for field in fields], argument)]
-
-
-def _type(word: str) -> Any:
-    scalar, axes = {"f": types.float64, "i": types.int64}[word[0].lower()], word[1:]
-    return types.Array(scalar, int(axes), "C", readonly=word[0].islower()) if axes else scalar
 
 
 def at_first_call(function: Function) -> Function:
@@ -88,7 +54,8 @@ def _cached(dispatcher: Any) -> Any:
 @cache
 def sources() -> str:
     """Return a hash of all files from which functions are inlined into compiled code."""
-    files = [*sorted(_PACKAGE.glob("kernels/**/*.py")), *sorted(_PACKAGE.glob("mathematics/*.py"))]
+    rooms = "kernels", "mathematics", "openmm_access", "potentials/compiled"
+    files = [file for room in rooms for file in sorted(_PACKAGE.glob(f"{room}/*.py"))]
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
 

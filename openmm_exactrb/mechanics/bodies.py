@@ -2,7 +2,7 @@
 
 Bodies of one kind are contiguous, and kinds that rotate precede single particles, which have no orientation. Among the
 single particles, the atoms of constrained, nonrigid clusters come first, in the order of
-`openmm_exactrb.mechanics.clusters`.
+`openmm_exactrb.constraints.clusters`.
 """
 
 from __future__ import annotations
@@ -13,9 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from openmm_exactrb import kernels
-from openmm_exactrb.kernels.records import Particles
-from openmm_exactrb.mechanics.clusters import Clusters, ClusterState
+from openmm_exactrb.constraints.clusters import Clusters, ClusterState
+from openmm_exactrb.mechanics.particles import Particles, collect, move, place
 from openmm_exactrb.mechanics.state import BodyState, State
 from openmm_exactrb.support.messages import listed
 from openmm_exactrb.support.types import Array, Indices
@@ -80,7 +79,6 @@ class RigidBodies:
         #: Moments for the rotor (1, 3) or (K, 3). A linear body is treated as a sphere without momentum along its axis.
         self.inertia = _moments(self._turning)
         self._flexible = bool(len(self.clusters))
-        self._kernels = kernels.load("bodies")
 
     @property
     def translational_freedom(self) -> int:
@@ -135,19 +133,19 @@ class RigidBodies:
 
     def positions(self, state: BodyState, out: Array) -> Array:
         """Write the positions of all particles with mass into `out` (n_particles, 3)."""
-        self._kernels.place(state.R, state.q, self.particles, out)
+        place(state.R, state.q, self.particles, out)
         return out
 
     def velocities(self, state: BodyState, out: Array) -> Array:
         """Write the velocities of all particles with mass into `out` (n_particles, 3)."""
         V, omega = self.tangent(state).P / self.mass, state.m / self.inertia.T
-        self._kernels.move(V, omega, state.q, self.particles, out)
+        move(V, omega, state.q, self.particles, out)
         return out
 
     def forces(self, state: BodyState, forces: Array) -> tuple[Array, Array]:
         """Return total forces (3, N) and body-frame torques (3, K) from forces on the particles (n_particles, 3)."""
         total, torque = np.empty((3, len(self))), np.empty((3, self.n_turning))
-        self._kernels.collect(state.q, self.particles, forces, total, torque)
+        collect(state.q, self.particles, forces, total, torque)
         return total, torque
 
     def tangent(self, state: BodyState) -> BodyState:

@@ -7,10 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from openmm_exactrb.constraints.clusters import ClusterKind, ClusterState
 from openmm_exactrb.mathematics.compensated import exactly
 from openmm_exactrb.mathematics.quaternions import from_matrix, matrix, turned
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
-from openmm_exactrb.mechanics.clusters import ClusterKind, ClusterState
 from openmm_exactrb.mechanics.state import BodyState
 from openmm_exactrb.support.types import Array, Indices
 from openmm_exactrb.support.warn import warn

@@ -7,10 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from openmm_exactrb import kernels
-from openmm_exactrb.mathematics.compensated import exactly
+from openmm_exactrb.constraints.clusters import ClusterState
+from openmm_exactrb.mathematics.compensated import add, exactly
 from openmm_exactrb.mechanics.bodies import RigidBodies
-from openmm_exactrb.mechanics.clusters import ClusterState
 from openmm_exactrb.mechanics.state import Flow, State
 from openmm_exactrb.rotors import Flow as Rotation
 from openmm_exactrb.rotors import Rotor, rotor_of_sums
@@ -41,11 +40,10 @@ def rigid(mass: Array, rotation: Rotation) -> Kinetic:
     `rotation` is a function of (q, m, tau) that returns (q, m) as double-doubles, such as a result of
     `openmm_exactrb.rotors.rotor_of_sums`.
     """
-    advance = advancing()
 
     def drift(state: State, tau: float) -> State:
         q, m = rotation(state.q, state.m, tau) if state.m.size else (state.q, state.m)
-        return State(advance(state.R, state.P[0] / mass, tau), state.P, q, m)
+        return State(add(state.R, tau * (state.P[0] / mass)), state.P, q, m)
 
     def displaced(state: State, push: Array) -> State:
         return state._replace(R=exactly(state.R[0] + push / mass))
@@ -92,17 +90,3 @@ def free_motion(bodies: RigidBodies, rotor: str | Rotor, constraints: Iterable[C
     for constrain in (geodesics, *constraints):
         kinetic = constrain(kinetic, bodies)
     return kinetic
-
-
-def advancing() -> Callable[[Array, Array, float], Array]:
-    """Return a function advance(x, rate, tau) -> x + tau rate for double-doubles x (2, k, N) and rates (k, N)."""
-    kernel = kernels.load("bodies").advance
-
-    def advance(x: Array, rate: Array, tau: float) -> Array:
-        if not x.size:
-            return x
-        total = np.empty(x.shape)
-        kernel(np.ascontiguousarray(x), np.ascontiguousarray(rate), tau, total)
-        return total
-
-    return advance

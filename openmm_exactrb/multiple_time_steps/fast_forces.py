@@ -17,7 +17,7 @@ from openmm_exactrb.multiple_time_steps.excerpt import Excerpt, bonded_excerpt
 from openmm_exactrb.multiple_time_steps.stiffness import LIBRATION, fastest
 from openmm_exactrb.schemes.catalogue import scheme as look_up
 from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.substeps import DRIFT, KICK, Drift, GradientKick, HeatExchange, Kick
+from openmm_exactrb.steps.substeps import DRIFT, KICK, Drift, GradientKick, HeatExchange, Kick
 from openmm_exactrb.support.checks import whole
 from openmm_exactrb.support.messages import shown
 from openmm_exactrb.support.types import Array

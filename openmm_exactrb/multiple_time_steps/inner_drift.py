@@ -20,15 +20,14 @@ from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.mechanics.divergence import DivergenceCheck
 from openmm_exactrb.mechanics.free_motion import Kinetic, free_motion, rigid
 from openmm_exactrb.mechanics.state import Flow, State
-from openmm_exactrb.multiple_time_steps.compiled_forces import BondedForces, terms_of
-from openmm_exactrb.multiple_time_steps.compiled_inner_steps import CompiledInnerSteps
 from openmm_exactrb.multiple_time_steps.excerpt import Excerpt
+from openmm_exactrb.multiple_time_steps.excerpt_forces import BondedForces, terms_of
 from openmm_exactrb.multiple_time_steps.fast_forces import FastForces
 from openmm_exactrb.openmm_access import arrays, parameters
-from openmm_exactrb.rotors import COMPILED, Rotor, rotor_of_sums
+from openmm_exactrb.rotors import Rotor, rotor_of_sums
 from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.schemes.sequence import Sequence, bound, repeated, through
-from openmm_exactrb.substeps import DRIFT, KICK, Substep, kick
+from openmm_exactrb.steps.sequence import Sequence, bound, repeated, through
+from openmm_exactrb.steps.substeps import DRIFT, KICK, Substep, kick
 
 _COUNTER = "fast_evaluations"
 
@@ -46,7 +45,7 @@ class InnerDrift:
         excerpt = fast.excerpt
         self._own = None if excerpt is None else ExcerptPositions(excerpt, sync)
         self._part = sync.bodies if excerpt is None else excerpt.part.bodies
-        self._rotor, self._free = rotor, free_motion(self._part, rotor)
+        self._free = free_motion(self._part, rotor)
         self._rigid = rigid(sync.bodies.mass, rotor_of_sums(rotor, sync.bodies.inertia, checked=False))
 
     def split(
@@ -80,11 +79,7 @@ class InnerDrift:
 
             drift = inner_steps(_followed_by(own.moved, kinetic.drift), kick_of_part, inner, repetitions)
             return _followed_by(own.keep_up, timed(drift)), {}, slow
-        inner_bodies: Flow[State]
-        if isinstance(fast, BondedForces) and self._rotor in COMPILED:
-            inner_bodies = CompiledInnerSteps(fast, inner, repetitions, divergence)
-        else:
-            inner_bodies = inner_steps(_followed_by(own.moved, self._free.drift), fast_kick, inner, repetitions)
+        inner_bodies = inner_steps(_followed_by(own.moved, self._free.drift), fast_kick, inner, repetitions)
         others = self._of_others(kinetic)
 
         def of_all(state: State, tau: float) -> State:

@@ -18,7 +18,7 @@ from openmm_exactrb.multiple_time_steps.bonded import Bonded
 from openmm_exactrb.multiple_time_steps.stiffness import LIBRATION, frequencies
 from openmm_exactrb.openmm_access import parameters
 from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.substeps import DRIFT
+from openmm_exactrb.steps.substeps import DRIFT
 from openmm_exactrb.support.types import Array
 from openmm_exactrb.support.warn import warn
 

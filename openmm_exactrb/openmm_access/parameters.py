@@ -15,7 +15,6 @@ import numpy as np
 import openmm
 from numpy.typing import NDArray
 
-from openmm_exactrb import kernels
 from openmm_exactrb.support.types import Array, Indices
 
 #: Integers (n, k) of terms, such as particles, and real numbers (n, m), in the order and the units of OpenMM.
@@ -106,7 +105,9 @@ def _targets(*addresses: int) -> tuple[int, tuple[int, ...]]:
 
 
 def _loops() -> Any:
-    return kernels.load("parameters")
+    from openmm_exactrb.openmm_access import loops  # imported here, because numba is slow to import
+
+    return loops
 
 
 @cache

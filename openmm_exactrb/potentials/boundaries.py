@@ -17,8 +17,8 @@ from typing import ClassVar, TypeAlias
 import numpy as np
 from openmm import unit
 
-from openmm_exactrb.dielectric import reaction
 from openmm_exactrb.potentials import ewald
+from openmm_exactrb.potentials.dielectric import reaction
 from openmm_exactrb.potentials.switching import sharp_volume
 from openmm_exactrb.support import checks
 from openmm_exactrb.support.messages import shown

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import openmm
 
-from openmm_exactrb import kernels
 from openmm_exactrb.context.dipole_boxes import NAME, SHORTEST, WRITTEN_FOR
 from openmm_exactrb.openmm_access import arrays
+from openmm_exactrb.potentials import compiled
 from openmm_exactrb.potentials.boundaries import OPEN, Boundary, Ewald, Images, check_cutoff, checked, edges_of
 from openmm_exactrb.potentials.formula import soft_dipole_bonds, soft_dipole_hbonds
 from openmm_exactrb.potentials.spheres import SphereCutoff, cutoff_in
@@ -265,7 +265,7 @@ class SoftDipoles:
         ValueError
             If the box is not rectangular or too small, or the energy of truncated spheres has no minimum.
         """
-        return kernels.load("pairs").soft_dipoles(  # type: ignore[no-any-return]
+        return compiled.load("pairs").soft_dipoles(  # type: ignore[no-any-return]
             positions,
             parameters["soft_repulsion"],
             parameters["dipole_coupling"],

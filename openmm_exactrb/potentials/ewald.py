@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from typing import NamedTuple, TypeAlias
 
-from openmm_exactrb import kernels
+from openmm_exactrb.potentials import compiled
 from openmm_exactrb.potentials import ewald_errors as errors
 
 Edges: TypeAlias = tuple[float, float, float]
@@ -59,7 +59,7 @@ def direct(n: int, edges: Edges, cutoff: float, switch: float, tolerance: float)
         y = math.log(max(0.7 * a**2.5 * y**1.5 / tolerance, 0.9 * a**3 * y / tolerance, math.e)) ** 0.5
     alpha = x / begin
     k_max = 2.0 * alpha * y
-    waves = kernels.load("pairs").number_of_waves(edges, k_max)
+    waves = compiled.load("pairs").number_of_waves(edges, k_max)
     if waves > MOST_WAVES:
         raise ValueError(
             f"an Ewald sum with a switch at {begin:g} nm and a tolerance of {tolerance:g} needs {waves:.3g} waves, "
@@ -74,7 +74,7 @@ def cost(n: int, edges: Edges, chosen: EwaldParameters) -> float:
     neighbours = 4.0 / 3.0 * math.pi * chosen.cutoff**3 * n / math.prod(edges)
     pairs = n * (_ROW * n if reach > _WHOLE else _CELL * neighbours)
     if chosen.method == "direct":
-        return pairs + n * _WAVE * float(kernels.load("pairs").number_of_waves(edges, chosen.k_max))
+        return pairs + n * _WAVE * float(compiled.load("pairs").number_of_waves(edges, chosen.k_max))
     return pairs + _POINT * math.prod(chosen.points) + n * _SPLINE * chosen.order**3 + _MESH
 
 
@@ -114,7 +114,7 @@ def meshes(
 
 def _sizes(edges: Edges, order: int) -> Iterator[tuple[int, ...]]:
     """Yield numbers of points along the edges that have fast transforms, in ascending order."""
-    fast_size, shortest, many = kernels.load("mesh").fast_size, min(edges), order + LANES
+    fast_size, shortest, many = compiled.load("mesh").fast_size, min(edges), order + LANES
     while many <= MOST_POINTS:
         many = fast_size(many)
         mesh = tuple(fast_size(many * edge / shortest) for edge in edges)

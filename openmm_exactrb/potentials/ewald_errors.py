@@ -13,7 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from openmm_exactrb import kernels
+from openmm_exactrb.potentials import compiled
 from openmm_exactrb.potentials.switching import switched
 from openmm_exactrb.support.types import Array
 
@@ -109,7 +109,7 @@ def _table(order: int) -> Array:
     k = [axis[:, None, None], axis[:, None], axis]
     volume = weights[:, None, None] * weights[:, None] * weights
     k2 = k[0] ** 2 + k[1] ** 2 + k[2] ** 2
-    W2, second, fourth = kernels.load("mesh").alias_sums(k, (1.0, 1.0, 1.0), order)
+    W2, second, fourth = compiled.load("mesh").alias_sums(k, (1.0, 1.0, 1.0), order)
     q = np.linspace(math.pi, math.pi + 15.0, 600)  # waves outside the mesh, in shells around the cube
     shells = 4.0 * math.pi * q**2 * np.clip(3.0 - 3.0 * math.pi / q, 0.0, 1.0) * (q[1] - q[0])
     rows = []

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 import openmm
 
-from openmm_exactrb import kernels
 from openmm_exactrb.openmm_access import arrays
+from openmm_exactrb.potentials import compiled
 from openmm_exactrb.potentials.boundaries import check_cutoff
 from openmm_exactrb.support.types import Array
 
@@ -67,7 +67,7 @@ class GayBerne:
         edges = box.diagonal().copy()
         check_cutoff(self.law[5], edges.tolist())
         forces, energy = np.empty_like(positions), np.empty(1)
-        kernels.load("ellipsoids").gay_berne(positions, edges, np.array(self.law), forces, energy)
+        compiled.load("ellipsoids").gay_berne(positions, edges, np.array(self.law), forces, energy)
         return float(energy[0]), forces
 
 

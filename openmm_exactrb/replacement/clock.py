@@ -9,7 +9,7 @@ from typing import Any
 
 from openmm import app
 
-from openmm_exactrb.step_sizes import femtoseconds
+from openmm_exactrb.integrators.step_sizes import femtoseconds
 
 # The largest denominator of a ratio of two steps, and the relative error of the ratio that is due to rounding.
 _MOST, _ROUNDING = 1000, 1e-9

@@ -7,10 +7,10 @@ from typing import Any, ClassVar
 import openmm
 from openmm import unit
 
-from openmm_exactrb.copies import restored
-from openmm_exactrb.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.integrators.copies import restored
+from openmm_exactrb.integrators.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.integrators.langevin import ExactRigidBodyLangevinIntegrator
 from openmm_exactrb.openmm_access.units import picoseconds
-from openmm_exactrb.thermostats import ExactRigidBodyLangevinIntegrator
 
 
 class Replacement(ExactRigidBodyIntegrator):

@@ -12,9 +12,9 @@ from typing import Any
 import openmm
 
 from openmm_exactrb.context.updates import BAROSTATS, frequency
+from openmm_exactrb.integrators.step_sizes import described, femtoseconds
 from openmm_exactrb.replacement.clock import Clock
 from openmm_exactrb.replacement.integrators import Replacement
-from openmm_exactrb.step_sizes import described, femtoseconds
 from openmm_exactrb.support import checks
 
 _SAME = 1e-9  # relative difference of steps that are equal

@@ -12,13 +12,13 @@ from typing import Any
 import openmm
 from openmm import app, unit
 
-from openmm_exactrb.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.integrators.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.integrators.step_sizes import femtoseconds
 from openmm_exactrb.openmm_access import parameters
 from openmm_exactrb.openmm_access.units import not_negative, picoseconds
 from openmm_exactrb.replacement.clock import changes_of_simulation
 from openmm_exactrb.replacement.integrators import REPLACEMENTS, Replacement, replacement
 from openmm_exactrb.replacement.record import Replaced
-from openmm_exactrb.step_sizes import femtoseconds
 from openmm_exactrb.support import checks
 from openmm_exactrb.systems.masses import heavy_hydrogens as make_heavy
 

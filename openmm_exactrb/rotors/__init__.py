@@ -4,7 +4,6 @@ from openmm_exactrb.rotors.flow import Flow
 from openmm_exactrb.rotors.front import free_rotor
 from openmm_exactrb.rotors.moser_veselov import NotConvergedWarning
 from openmm_exactrb.rotors.registry import (
-    COMPILED,
     LARGEST_MOMENT,
     ROTORS,
     SMALLEST_MOMENT,
@@ -16,7 +15,6 @@ from openmm_exactrb.rotors.registry import (
 )
 
 __all__ = [
-    "COMPILED",
     "LARGEST_MOMENT",
     "ROTORS",
     "SMALLEST_MOMENT",

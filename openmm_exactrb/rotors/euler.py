@@ -18,11 +18,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from openmm_exactrb.kernels.plain.exact import SAFE
 from openmm_exactrb.mathematics.compensated import keep_norm
 from openmm_exactrb.mathematics.elliptic import jacobi, third_kind_legendre
 from openmm_exactrb.mathematics.quaternions import multiply, renormalise
 from openmm_exactrb.rotors import exact
+from openmm_exactrb.rotors.closed_form import SAFE
 from openmm_exactrb.rotors.flow import Flow, ascending
 from openmm_exactrb.support.types import Array
 

@@ -70,14 +70,13 @@ _GAUSS = tuple(
     for p in (3, 4, 5)
 )
 
-#: All flows by name; "exact" is the same flow as "exact_compiled".
+#: All flows by name.
 ROTORS: Mapping[str, Rotor] = MappingProxyType(
     {
         entry.name: entry
         for entry in (
-            Rotor("exact", None, exact.compiled, _PAPER, sums=True),
+            Rotor("exact", None, exact.fastest, _PAPER, sums=True),
             Rotor("exact_numpy", None, exact.in_numpy, _PAPER, sums=True),
-            Rotor("exact_compiled", None, exact.compiled, _PAPER, sums=True),
             Rotor("rotation", None, rotation.rotor, f"{_PAPER}, section 2.2"),
             Rotor("quaternion_a", None, quaternion.kosenko, f"{_PAPER}, equation (38)"),
             Rotor("quaternion_b", None, quaternion.moving_frame, f"{_PAPER}, section 2.4 (b)"),
@@ -94,9 +93,6 @@ ROTORS: Mapping[str, Rotor] = MappingProxyType(
         )
     }
 )
-
-#: The flows that are compiled.
-COMPILED = (ROTORS["exact"], ROTORS["exact_compiled"])
 
 
 def look_up(rotor: str | Rotor) -> Rotor:

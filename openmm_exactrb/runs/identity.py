@@ -8,10 +8,10 @@ from xml.etree import ElementTree
 import openmm
 from openmm import unit
 
-from openmm_exactrb.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.integrators.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.integrators.momenta import CanonicalMomenta
 from openmm_exactrb.support.stable_text import digest, stable_text
 from openmm_exactrb.support.version import version
-from openmm_exactrb.thermostats.momenta import CanonicalMomenta
 
 _LONGEST = 100  # largest number of characters of a value in a message
 

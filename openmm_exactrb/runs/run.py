@@ -17,7 +17,7 @@ from typing import Any, NoReturn
 from openmm import app
 
 from openmm_exactrb.errors import IntegrationError
-from openmm_exactrb.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.integrators.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.runs import checkpoint
 from openmm_exactrb.runs.checkpoint import CHECKPOINT, Checkpoint
 from openmm_exactrb.runs.identity import identity_of, setting_text

@@ -4,9 +4,9 @@ from openmm_exactrb.schemes.catalogue import CATALOGUE, scheme, scheme_for_therm
 from openmm_exactrb.schemes.generated import composition, corrected, saba, sbab
 from openmm_exactrb.schemes.gradients import force_gradient
 from openmm_exactrb.schemes.scheme import Scheme, symmetric
-from openmm_exactrb.schemes.sequence import spelled
 from openmm_exactrb.schemes.stability import Shadow, shadow, stability_limit
 from openmm_exactrb.schemes.thermostatted import WITH_THERMOSTAT
+from openmm_exactrb.steps.sequence import spelled
 
 __all__ = [
     "CATALOGUE",

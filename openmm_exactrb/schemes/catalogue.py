@@ -16,9 +16,9 @@ from openmm_exactrb.schemes.gradients import (
     force_gradient,
 )
 from openmm_exactrb.schemes.scheme import Scheme, processed, symmetric
-from openmm_exactrb.schemes.sequence import Sequence
 from openmm_exactrb.schemes.thermostatted import WITH_THERMOSTAT
-from openmm_exactrb.substeps import DRIFT, KICK, LastForcesKick
+from openmm_exactrb.steps.sequence import Sequence
+from openmm_exactrb.steps.substeps import DRIFT, KICK, LastForcesKick
 from openmm_exactrb.support.messages import shown
 
 _VERLET = "L. Verlet, Phys. Rev. 159, 98 (1967), doi:10.1103/PhysRev.159.98"

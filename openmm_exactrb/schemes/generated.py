@@ -15,8 +15,8 @@ from fractions import Fraction
 import numpy as np
 
 from openmm_exactrb.schemes.scheme import Outer, Scheme, palindrome, symmetric
-from openmm_exactrb.schemes.sequence import merged
-from openmm_exactrb.substeps import DRIFT, KICK, Substep
+from openmm_exactrb.steps.sequence import merged
+from openmm_exactrb.steps.substeps import DRIFT, KICK, Substep
 from openmm_exactrb.support.types import Array
 
 _LASKAR = "J. Laskar and P. Robutel, Celest. Mech. Dyn. Astron. 80, 39 (2001), doi:10.1023/A:1012098603882"

@@ -17,8 +17,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from openmm_exactrb.schemes.scheme import Scheme, palindrome
-from openmm_exactrb.schemes.sequence import merged
-from openmm_exactrb.substeps import DRIFT, KICK, GradientKick, Substep
+from openmm_exactrb.steps.sequence import merged
+from openmm_exactrb.steps.substeps import DRIFT, KICK, GradientKick, Substep
 
 #: The factor k of the change of forces. With single-precision forces, 8 increases the energy error, and 4 does not.
 MAGNIFICATION = 4.0

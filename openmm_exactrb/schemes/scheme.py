@@ -12,9 +12,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from openmm_exactrb.schemes.sequence import Sequence as Substeps
-from openmm_exactrb.schemes.sequence import inverse, palindromic
-from openmm_exactrb.substeps import DRIFT, KICK, GradientKick, LastForcesKick, Substep
+from openmm_exactrb.steps.sequence import Sequence as Substeps
+from openmm_exactrb.steps.sequence import inverse, palindromic
+from openmm_exactrb.steps.substeps import DRIFT, KICK, GradientKick, LastForcesKick, Substep
 
 Kind = Literal["general", "nystroem"]
 Outer = Literal["drift", "kick"]

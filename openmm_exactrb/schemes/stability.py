@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.schemes.sequence import Sequence
-from openmm_exactrb.substeps import Matrix
+from openmm_exactrb.steps.sequence import Sequence
+from openmm_exactrb.steps.substeps import Matrix
 from openmm_exactrb.support import checks
 from openmm_exactrb.support.descriptions import mismatch
 

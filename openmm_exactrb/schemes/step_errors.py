@@ -20,7 +20,8 @@ from typing import NamedTuple
 from numpy.polynomial import Polynomial
 
 from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.schemes.sequence import (
+from openmm_exactrb.schemes.stability import oscillated
+from openmm_exactrb.steps.sequence import (
     Sequence,
     behind_exchange,
     merged,
@@ -28,8 +29,7 @@ from openmm_exactrb.schemes.sequence import (
     second_moments,
     up_to_kick,
 )
-from openmm_exactrb.schemes.stability import oscillated
-from openmm_exactrb.substeps import Drift, GradientKick, HeatExchange, Kick
+from openmm_exactrb.steps.substeps import Drift, GradientKick, HeatExchange, Kick
 
 
 class StepErrors(NamedTuple):

@@ -10,8 +10,8 @@ from dataclasses import replace
 from types import MappingProxyType
 
 from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.schemes.sequence import Sequence, palindromic, repeated, second_moments, spelled
-from openmm_exactrb.substeps import DRIFT, HEAT_EXCHANGE, KICK, Drift, HeatExchange, Substep
+from openmm_exactrb.steps.sequence import Sequence, palindromic, repeated, second_moments, spelled
+from openmm_exactrb.steps.substeps import DRIFT, HEAT_EXCHANGE, KICK, Drift, HeatExchange, Substep
 from openmm_exactrb.support.descriptions import changed
 
 _PARTICLES = "B. Leimkuhler and C. Matthews, J. Chem. Phys. 138, 174102 (2013), doi:10.1063/1.4802990, for particles"

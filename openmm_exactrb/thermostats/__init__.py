@@ -1,23 +1,13 @@
-"""Thermostats and the integrators that use them, one file for each thermostat.
+"""Thermostats: values of the argument ``thermostat`` of `openmm_exactrb.ExactRigidBodyIntegrator`, one file for each.
 
-`Langevin`, `StochasticRescaling`, `NoseHooverChain` and `HybridMonteCarlo` are values of the argument ``thermostat`` of
-`openmm_exactrb.ExactRigidBodyIntegrator`. `CanonicalMomenta` draws all momenta at intervals.
+A file contains what the thermostat saves, its flow in NumPy and the name of its kernel, whose text is in
+thermostats.cl.
 """
 
-from openmm_exactrb.thermostats.hybrid import ExactRigidBodyHybridIntegrator, HybridMonteCarlo
-from openmm_exactrb.thermostats.langevin import ExactRigidBodyLangevinIntegrator, Langevin
-from openmm_exactrb.thermostats.momenta import CanonicalMomenta
-from openmm_exactrb.thermostats.nose_hoover import ExactRigidBodyNoseHooverIntegrator, NoseHooverChain
-from openmm_exactrb.thermostats.rescaling import ExactRigidBodyRescalingIntegrator, StochasticRescaling
+from openmm_exactrb.thermostats.hybrid import HybridMonteCarlo
+from openmm_exactrb.thermostats.langevin import Langevin
+from openmm_exactrb.thermostats.nose_hoover import NoseHooverChain
+from openmm_exactrb.thermostats.rescaling import StochasticRescaling
+from openmm_exactrb.thermostats.thermostat import Factors, Thermostat
 
-__all__ = [
-    "CanonicalMomenta",
-    "ExactRigidBodyHybridIntegrator",
-    "ExactRigidBodyLangevinIntegrator",
-    "ExactRigidBodyNoseHooverIntegrator",
-    "ExactRigidBodyRescalingIntegrator",
-    "HybridMonteCarlo",
-    "Langevin",
-    "NoseHooverChain",
-    "StochasticRescaling",
-]
+__all__ = ["Factors", "HybridMonteCarlo", "Langevin", "NoseHooverChain", "StochasticRescaling", "Thermostat"]

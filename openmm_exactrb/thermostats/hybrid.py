@@ -10,22 +10,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar, Unpack
-
-from openmm import unit
+from typing import ClassVar
 
 from openmm_exactrb.context import variables
-from openmm_exactrb.environment import Environment
 from openmm_exactrb.errors import IntegrationError
-from openmm_exactrb.mechanics.rng import Instant, Purpose
 from openmm_exactrb.mechanics.state import Flow, State
 from openmm_exactrb.openmm_access.units import gas_constant_times
-from openmm_exactrb.rotors import Rotor
+from openmm_exactrb.random.rng import Instant, Purpose
 from openmm_exactrb.schemes import Scheme, thermostatted
-from openmm_exactrb.substeps import Substep
+from openmm_exactrb.steps.environment import Environment
+from openmm_exactrb.steps.substeps import Substep
 from openmm_exactrb.support.checks import positive, whole
-from openmm_exactrb.thermostats.face import Options
-from openmm_exactrb.thermostats.langevin import ExactRigidBodyLangevinIntegrator, Langevin
+from openmm_exactrb.thermostats.langevin import Langevin
 
 
 def accepts(rise: float, kT: float, u: float) -> bool:
@@ -128,53 +124,3 @@ class HybridMonteCarlo(Langevin):
     def splitting(self, scheme: Scheme) -> tuple[Scheme, int]:
         """Return the scheme of the proposal, and its number of steps."""
         return thermostatted.proposal(scheme, self.stepsPerProposal), self.stepsPerProposal
-
-
-class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
-    """Generalised hybrid Monte Carlo: averages without a step-size error.
-
-    A step is a proposal between two halves of the heat exchange of `ExactRigidBodyLangevinIntegrator`
-    (doi:10.1016/0370-2693(91)90812-5). The splitting generates the proposal, a Metropolis test accepts or rejects the
-    proposal, and momenta are reversed on rejection, so that the trajectory has no dynamical meaning. The distribution
-    is canonical at any step size, up to the errors of the platform's potential energy.
-
-    Parameters
-    ----------
-    temperature, frictionCoeff
-        As in `ExactRigidBodyLangevinIntegrator`; the temperature must be positive.
-    stepSize : float or Quantity, optional
-        Duration of a proposal, in ps if it has no unit. Pass either ``stepSize`` or ``forceInterval``.
-    scheme, rotor, rotationalFriction, flexibleFriction, bodies, fast, inner, innerSteps, forceInterval
-        As in `ExactRigidBodyLangevinIntegrator`; the scheme must be symmetric and contain no thermostat, as is the case
-        for the default, "S2_2". ``innerSteps`` is the number of inner steps in one step of the scheme.
-    checkDivergence, constraints
-        As in `ExactRigidBodyLangevinIntegrator`.
-    stepsPerProposal : int, optional
-        Number of steps of the scheme in a proposal, each of the size stepSize/stepsPerProposal.
-
-    Raises
-    ------
-    ValueError
-        As for `ExactRigidBodyLangevinIntegrator`, and if the temperature is zero, the scheme or the inner scheme is not
-        symmetric, or ``stepsPerProposal`` is not a positive whole number.
-    """
-
-    _thermostat: HybridMonteCarlo
-
-    def __init__(
-        self,
-        temperature: float | unit.Quantity,
-        frictionCoeff: float | unit.Quantity,
-        stepSize: float | unit.Quantity | None = None,
-        scheme: str | Scheme | None = None,
-        rotor: str | Rotor = "exact",
-        rotationalFriction: float | unit.Quantity | None = None,
-        stepsPerProposal: int = 1,
-        flexibleFriction: float | unit.Quantity | None = None,
-        **options: Unpack[Options],
-    ) -> None:
-        frictions = frictionCoeff, rotationalFriction
-        thermostat = HybridMonteCarlo(temperature, *frictions, stepsPerProposal, flexibleFriction=flexibleFriction)
-        super(ExactRigidBodyLangevinIntegrator, self).__init__(
-            stepSize, scheme, rotor, thermostat=thermostat, **options
-        )

@@ -13,22 +13,19 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, Unpack
+from typing import ClassVar
 
 import numpy as np
 from openmm import unit
 
-from openmm_exactrb.environment import Environment
 from openmm_exactrb.errors import IntegrationError
-from openmm_exactrb.mechanics.rng import Instant
 from openmm_exactrb.openmm_access.units import gas_constant_times, kelvin, plain
-from openmm_exactrb.rotors import Rotor
-from openmm_exactrb.schemes import Scheme
+from openmm_exactrb.random.rng import Instant
+from openmm_exactrb.steps.environment import Environment
 from openmm_exactrb.support.checks import switch, whole
 from openmm_exactrb.support.types import Array
-from openmm_exactrb.thermostat import Exchange, Factors, Thermostat
-from openmm_exactrb.thermostats.face import Options, ThermostattedIntegrator
 from openmm_exactrb.thermostats.rescaling import multiplication
+from openmm_exactrb.thermostats.thermostat import Exchange, Factors, Thermostat
 
 _RATE = unit.picosecond**-1
 
@@ -200,45 +197,3 @@ class NoseHooverChain(Thermostat):
             if freedom:
                 total += 0.5 * float(self.masses(freedom) @ (v * v)) + kT * float(freedom * x[0] + x[1:].sum())
         return total
-
-
-class ExactRigidBodyNoseHooverIntegrator(ThermostattedIntegrator):
-    """Rigid-body dynamics at constant temperature without random numbers: Nosé-Hoover chains.
-
-    Parameters
-    ----------
-    temperature, collisionFrequency, chainLength, numMTS, numYoshidaSuzuki, together
-        As in `NoseHooverChain`; ``chainLength``, ``numMTS`` and ``numYoshidaSuzuki`` have the same meaning as in
-        OpenMM's NoseHooverIntegrator.
-    stepSize, scheme, rotor, bodies, fast, inner, innerSteps, forceInterval, checkDivergence, constraints
-        As in `ExactRigidBodyLangevinIntegrator`.
-
-    Notes
-    -----
-    The default scheme is "BAOAB", whose steps are symmetric in time and evaluate forces once. Velocities at the end of
-    a step differ by half a kick from the velocities that the chains scale. The results of `temperatures` are therefore
-    below the temperature of the chains by an amount proportional to the square of the step.
-    `temperaturesAroundThermostat` returns the temperatures of the chains.
-
-    Momenta that are all zero stay zero: draw initial momenta with `setVelocitiesToTemperature`. Checkpoints, and States
-    with ``integratorParameters=True``, can be loaded only with the same number and length of chains. Small or stiff
-    systems may not be ergodic; a harmonic oscillator with a chain of one link, for example, is not.
-    """
-
-    _thermostat: NoseHooverChain
-
-    def __init__(
-        self,
-        temperature: float | unit.Quantity,
-        collisionFrequency: float | unit.Quantity,
-        stepSize: float | unit.Quantity | None = None,
-        scheme: str | Scheme | None = None,
-        rotor: str | Rotor = "exact",
-        chainLength: int = 3,
-        numMTS: int = 3,
-        numYoshidaSuzuki: int = 7,
-        together: bool = False,
-        **options: Unpack[Options],
-    ) -> None:
-        thermostat = NoseHooverChain(temperature, collisionFrequency, chainLength, numMTS, numYoshidaSuzuki, together)
-        super().__init__(stepSize, scheme, rotor, thermostat=thermostat, **options)

@@ -9,22 +9,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar, Unpack
+from typing import ClassVar
 
 import numpy as np
 from openmm import unit
 
 from openmm_exactrb.context import variables
-from openmm_exactrb.environment import Environment
 from openmm_exactrb.mathematics.compensated import add
-from openmm_exactrb.mechanics.rng import Instant, Purpose
 from openmm_exactrb.openmm_access.units import gas_constant_times, kelvin, plain
-from openmm_exactrb.rotors import Rotor
-from openmm_exactrb.schemes import Scheme
+from openmm_exactrb.random.rng import Instant, Purpose
+from openmm_exactrb.steps.environment import Environment
 from openmm_exactrb.support.checks import positive, switch
 from openmm_exactrb.support.types import Array
-from openmm_exactrb.thermostat import Exchange, Factors, Thermostat
-from openmm_exactrb.thermostats.face import Options, ThermostattedIntegrator
+from openmm_exactrb.thermostats.thermostat import Exchange, Factors, Thermostat
 
 _BACKWARD = "stepSize must be positive with a thermostat"
 
@@ -140,40 +137,3 @@ def reciprocal(x: Array) -> Array:
 def scaled(x: Array, factor: float) -> Array:
     """Return double-doubles (2, ...) times a factor close to one."""
     return x if factor == 1.0 else add(x, (factor - 1.0) * x[0])
-
-
-class ExactRigidBodyRescalingIntegrator(ThermostattedIntegrator):
-    """Rigid-body dynamics at constant temperature with little disturbance: stochastic velocity rescaling.
-
-    At every step, all momenta are multiplied by one number, or by two with ``together=False``, such that kinetic
-    energies have their canonical distribution (doi:10.1063/1.2408420). Unlike friction, this thermostat has little
-    effect on diffusion and time correlations.
-
-    Parameters
-    ----------
-    temperature, relaxationTime, together
-        As in `StochasticRescaling`.
-    stepSize, scheme, rotor, bodies, fast, inner, innerSteps, forceInterval, checkDivergence, constraints
-        As in `ExactRigidBodyLangevinIntegrator`.
-
-    Notes
-    -----
-    If all momenta are zero, rescaling leaves them zero: draw initial momenta with `setVelocitiesToTemperature`.
-    Rescaling also preserves a total momentum of zero. If the forces of the System preserve the total momentum too, add
-    a ``CMMotionRemover``, so that `degreesOfFreedom` excludes the three degrees of freedom of the centre of mass.
-    """
-
-    _thermostat: StochasticRescaling
-
-    def __init__(
-        self,
-        temperature: float | unit.Quantity,
-        relaxationTime: float | unit.Quantity,
-        stepSize: float | unit.Quantity | None = None,
-        scheme: str | Scheme | None = None,
-        rotor: str | Rotor = "exact",
-        together: bool = True,
-        **options: Unpack[Options],
-    ) -> None:
-        thermostat = StochasticRescaling(temperature, relaxationTime, together)
-        super().__init__(stepSize, scheme, rotor, thermostat=thermostat, **options)

@@ -15,12 +15,12 @@ import openmm
 from numpy.typing import NDArray
 
 from openmm_exactrb.context.timings import Timings
-from openmm_exactrb.engines.library import missing
 from openmm_exactrb.errors import IntegrationError
-from openmm_exactrb.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.integrators.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.integrators.states import loadState
+from openmm_exactrb.library.library import missing
 from openmm_exactrb.schemes import CATALOGUE, Scheme
 from openmm_exactrb.schemes import scheme as look_up
-from openmm_exactrb.states import loadState
 from openmm_exactrb.tuning.budget import Budget
 from openmm_exactrb.tuning.initial_state import InitialState, others
 from openmm_exactrb.tuning.preparation import characteristics, diverging

@@ -16,13 +16,13 @@ from openmm import app, unit
 from openmm_exactrb.context.solver import mended
 from openmm_exactrb.context.updates import UPDATES, names_of_updates
 from openmm_exactrb.errors import IntegrationError
-from openmm_exactrb.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.integrators.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.integrators.langevin import ExactRigidBodyLangevinIntegrator
+from openmm_exactrb.integrators.states import loadState
 from openmm_exactrb.openmm_access.platforms import mixed, platform_of
 from openmm_exactrb.openmm_access.units import gas_constant_times, stripped
-from openmm_exactrb.states import loadState
 from openmm_exactrb.support import checks
 from openmm_exactrb.support.types import Array
-from openmm_exactrb.thermostats import ExactRigidBodyLangevinIntegrator
 from openmm_exactrb.tuning.budget import Budget
 from openmm_exactrb.tuning.preparation import heat, minimise
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import openmm
 
-from openmm_exactrb.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.integrators.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.schemes import CATALOGUE, Scheme
 from openmm_exactrb.support.checks import positive
 from openmm_exactrb.tuning.benchmark import NESTED, VERLET, Method

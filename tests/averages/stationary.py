@@ -12,7 +12,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from openmm_exactrb.schemes.step_errors import _around_exchange
-from openmm_exactrb.substeps import Drift
+from openmm_exactrb.steps.substeps import Drift
 
 
 @dataclass(eq=False)

@@ -12,8 +12,8 @@ from averages.stationary import Rotor, chord
 from averages.test_corrections import COUNT, KT, cosine, made, reporting, rotors, water
 from openmm_exactrb.averages.chord import Chords
 from openmm_exactrb.averages.record import read
+from openmm_exactrb.constraints.clusters import ClusterState
 from openmm_exactrb.detection.find import find_bodies
-from openmm_exactrb.mechanics.clusters import ClusterState
 from openmm_exactrb.openmm_access.parameters import constraints
 from openmm_exactrb.schemes import scheme_for_thermostat
 from openmm_exactrb.schemes.step_errors import step_errors

@@ -12,7 +12,7 @@ import openmm_exactrb as rb
 from openmm_exactrb.averages.frames import BAR
 from openmm_exactrb.averages.record import read
 from openmm_exactrb.schemes import Scheme
-from openmm_exactrb.schemes.sequence import spelled
+from openmm_exactrb.steps.sequence import spelled
 from openmm_exactrb.thermostats import HybridMonteCarlo
 
 KT = 0.00831446261815324 * 300.0

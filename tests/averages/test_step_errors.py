@@ -11,10 +11,10 @@ import openmm_exactrb as rb
 from averages.stationary import Quartic, Rotor
 from openmm_exactrb.schemes import scheme_for_thermostat
 from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.schemes.sequence import spelled
 from openmm_exactrb.schemes.stability import oscillated
 from openmm_exactrb.schemes.step_errors import _around_exchange, step_errors
 from openmm_exactrb.schemes.thermostatted import with_thermostat
+from openmm_exactrb.steps.sequence import spelled
 from thermostatted import ending_at_kicks
 
 ROTOR = "rotor in a field"

@@ -100,12 +100,6 @@ def test_the_papers_claims_and_ours_are_counted_apart(overview, pages):
     assert int(re.search(r"Of (\d+) claims of the paper", overview)[1]) == entries - beyond
 
 
-def test_no_verdict_compares_compiled_code_with_numpy(pages):
-    compiled = [line for page in pages.values() for line in page.splitlines() if "exact_compiled" in line]
-    assert compiled
-    assert all("| compiled |" in line for line in compiled)  # rows of tables, where it is marked
-
-
 # -- claims and criteria --------------------------------------------------------------------------------------------
 
 

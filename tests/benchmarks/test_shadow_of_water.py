@@ -7,7 +7,7 @@ from benchmarks.water.shadow import TEMPERATURE, Anharmonicity, at_thermostat, p
 from openmm_exactrb.schemes import WITH_THERMOSTAT, splitting
 from openmm_exactrb.schemes import shadow as kept
 from openmm_exactrb.schemes.thermostatted import with_thermostat
-from openmm_exactrb.substeps import DRIFT, KICK
+from openmm_exactrb.steps.substeps import DRIFT, KICK
 
 SLOW, FAST = 40.0, 120.0  # 1/ps
 SPECTRUM = np.array([SLOW, FAST]), np.array([1.0, 0.0]), np.array([0.0, 1.0])

@@ -10,8 +10,8 @@ import pytest
 
 import openmm_exactrb as rb
 from both_engines import apart, begun, maker, pair
-from openmm_exactrb.engines.library import Machine, library
 from openmm_exactrb.errors import IntegrationError, NonFiniteError
+from openmm_exactrb.library.library import Machine, library
 from starts import held
 from zoo import water
 

@@ -8,7 +8,7 @@ from openmm import app, unit
 import openmm_exactrb as rb
 import starts
 from few_dipoles import KT, simulation_of, snapshot
-from openmm_exactrb.engines.library import of_library
+from openmm_exactrb.library.library import of_library
 from openmm_exactrb.schemes import Scheme
 
 pytestmark = pytest.mark.usefixtures("host_is_advised")

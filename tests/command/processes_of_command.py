@@ -11,8 +11,8 @@ ENVIRONMENT = os.environ | {"OPENMM_CPU_THREADS": "1"}
 
 
 def launch(*arguments):
-    """Start the command, which finds its kernels compiled: else it would say that it compiles them."""
-    compilation.of_bodies()
+    """Start the command, which finds the library compiled: else it would say that it compiles it."""
+    compilation.of_library()
     words = [*COMMAND, *map(str, arguments)]
     return subprocess.Popen(words, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 

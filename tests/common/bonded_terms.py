@@ -4,7 +4,7 @@ import numpy as np
 import openmm
 
 from openmm_exactrb.multiple_time_steps.bonded import BONDED_FORCES, Bonded, interacting_exceptions
-from openmm_exactrb.multiple_time_steps.compiled_forces import terms_of
+from openmm_exactrb.multiple_time_steps.excerpt_forces import terms_of
 
 RNG = np.random.default_rng(5)
 N = 140  # more terms than two blocks of the kernel have

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from openmm_exactrb.constraints.clusters import ClusterState
 from openmm_exactrb.mathematics import quaternions
-from openmm_exactrb.mechanics.clusters import ClusterState
 
 
 def state_at(q_ref, x):

@@ -1,4 +1,4 @@
-"""Kernels that are compiled before the tests begin: else each worker would compile all of them by itself."""
+"""What is compiled before the tests begin: else each worker would compile the loops over dipoles by itself."""
 
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
@@ -6,12 +6,11 @@ from multiprocessing import get_context
 import numpy as np
 
 
-def of_bodies():
-    """Compile what moves rigid bodies, and flexible molecules in inner steps."""
-    from openmm_exactrb import kernels
+def of_library():
+    """Compile the library, unless it is there or there is no compiler."""
+    from openmm_exactrb.library import functions
 
-    for name in ("bodies", "exact", "clusters", "bonded", "inner_steps", "parameters", "random"):
-        kernels.load(name)
+    functions.available()
 
 
 def of_dipoles():
@@ -33,7 +32,7 @@ def of_dipoles():
 
 
 def at_once():
-    """Fill numba's cache, in two processes."""
+    """Compile in two processes."""
     with ProcessPoolExecutor(2, get_context("spawn")) as pool:
-        for done in [pool.submit(of_dipoles), pool.submit(of_bodies)]:
+        for done in [pool.submit(of_dipoles), pool.submit(of_library)]:
             done.result()

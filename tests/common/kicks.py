@@ -3,13 +3,13 @@
 import numpy as np
 import openmm
 
-from openmm_exactrb.engines.library import Machine, library
 from openmm_exactrb.engines.native.flexible.part import Flexible, FlexiblePart
 from openmm_exactrb.engines.native.program import Program
 from openmm_exactrb.engines.native.rigid import Demands
 from openmm_exactrb.engines.native.segments import Segment, Table
+from openmm_exactrb.library.library import Machine, library
 from openmm_exactrb.mechanics.state import BodyState, State
-from openmm_exactrb.moves import Move, Op
+from openmm_exactrb.steps.moves import Move, Op
 from places import REFERENCE
 
 

@@ -7,7 +7,7 @@ import openmm
 
 import openmm_exactrb as rb
 from openmm_exactrb.schemes import Scheme
-from openmm_exactrb.substeps import DRIFT, Drift, GradientKick, HeatExchange, Kick, LastForcesKick
+from openmm_exactrb.steps.substeps import DRIFT, Drift, GradientKick, HeatExchange, Kick, LastForcesKick
 from openmm_exactrb.thermostats import Langevin, NoseHooverChain, StochasticRescaling
 from places import platform_for
 

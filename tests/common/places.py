@@ -6,7 +6,7 @@ from functools import cache
 import openmm
 import pytest
 
-from openmm_exactrb.engines.library import SLOWER, missing
+from openmm_exactrb.library.library import SLOWER, missing
 from openmm_exactrb.openmm_access.platforms import DEVICES, platforms
 
 REFERENCE = openmm.Platform.getPlatform("Reference")

@@ -1,7 +1,7 @@
 """Sequences of whole runs, for flows of a test's own."""
 
-from openmm_exactrb.schemes.sequence import repeated, run
-from openmm_exactrb.substeps import DRIFT, KICK, GradientKick
+from openmm_exactrb.steps.sequence import repeated, run
+from openmm_exactrb.steps.substeps import DRIFT, KICK, GradientKick
 
 
 def whole(scheme, n):

@@ -10,7 +10,7 @@ import openmm_exactrb as rb
 import starts
 from openmm_exactrb.schemes import scheme_for_thermostat
 from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.substeps import DRIFT
+from openmm_exactrb.steps.substeps import DRIFT
 from places import platform_for
 
 R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)

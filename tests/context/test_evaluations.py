@@ -9,6 +9,7 @@ import pytest
 
 import openmm_exactrb as rb
 from openmm_exactrb.context import outside_forces
+from openmm_exactrb.steps.substeps import Substep
 from starts import context_of
 
 pytestmark = pytest.mark.usefixtures("host_is_advised")
@@ -108,7 +109,7 @@ def test_a_force_without_an_energy_may_drive():
     assert v[0, 0] == pytest.approx(50.0)
 
 
-class Motor(rb.substeps.Substep):
+class Motor(Substep):
     """An active particle's propulsion."""
 
     symbol, moves = "M", False

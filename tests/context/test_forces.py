@@ -19,7 +19,7 @@ from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.schemes import Scheme
-from openmm_exactrb.substeps import DRIFT, KICK, Substep
+from openmm_exactrb.steps.substeps import DRIFT, KICK, Substep
 from orders import exponent
 
 

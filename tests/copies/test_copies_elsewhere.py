@@ -15,7 +15,7 @@ from test_copies import OWN, Labelled
 
 import openmm_exactrb as rb
 from every_integrator import KINDS, MOVING, ends, every, made, seeded
-from openmm_exactrb.engines.library import of_library
+from openmm_exactrb.library.library import of_library
 from openmm_exactrb.openmm_access import settings_text
 from places import CPU, REFERENCE, device_platform
 from starts import context_of, positions_of, put, velocities_of

@@ -20,7 +20,7 @@ from bonded_terms import system_of as bonded
 from custom_forces import ENERGIES, KINDS, chain, force_of
 from graphs import GRAPHS
 from graphs import system_of as clusters
-from openmm_exactrb.engines import library
+from openmm_exactrb.library import library
 from peptides import in_water
 from places import CPU, REFERENCE
 from starts import positions_of

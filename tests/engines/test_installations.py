@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from openmm_exactrb.engines import compilation, library
+from openmm_exactrb.library import compilation, library
 from places import has_device
 
 ROOT = Path(__file__).parents[2]
@@ -28,7 +28,7 @@ COMPILING, COMPILED = "compiling the library of integrators", "compiled in "
 STEPS = """
 import openmm
 import openmm_exactrb as rb
-from openmm_exactrb.engines.library import describe
+from openmm_exactrb.library.library import describe
 _, system, positions = rb.rigid_water(2)
 for engine in ("auto", "host", "native"):
     try:

@@ -8,10 +8,10 @@ from pathlib import Path
 import openmm
 import pytest
 
-from openmm_exactrb.engines import compilation
-from openmm_exactrb.engines import library as module
-from openmm_exactrb.engines.library import Machine, library
 from openmm_exactrb.errors import MissingLibraryError
+from openmm_exactrb.library import compilation
+from openmm_exactrb.library import library as module
+from openmm_exactrb.library.library import Machine, library
 
 pytestmark = pytest.mark.library
 

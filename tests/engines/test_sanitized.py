@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from openmm_exactrb.engines import compilation
+from openmm_exactrb.library import compilation
 
 pytestmark = pytest.mark.library
 

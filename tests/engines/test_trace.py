@@ -43,9 +43,9 @@ def trace_of(system, positions, integrator):
 @pytest.mark.parametrize(
     ("make", "most"),
     [
-        (lambda **options: rb.ExactRigidBodyIntegrator(0.0005, "S2_2", **options), 19),
-        (lambda **options: rb.ExactRigidBodyIntegrator(0.0005, **options), 22),
-        (lambda **options: rb.ExactRigidBodyLangevinIntegrator(100.0, 1.0, 0.0005, "S2_2", **options), 23),
+        (lambda **options: rb.ExactRigidBodyIntegrator(0.0005, "S2_2", **options), 21),
+        (lambda **options: rb.ExactRigidBodyIntegrator(0.0005, **options), 24),
+        (lambda **options: rb.ExactRigidBodyLangevinIntegrator(100.0, 1.0, 0.0005, "S2_2", **options), 25),
     ],
     ids=["S2_2", "default", "Langevin"],
 )
@@ -59,8 +59,8 @@ def test_a_step_of_water_passes_few_files(make, most):
 @pytest.mark.parametrize(
     ("make", "most"),
     [
-        (lambda **options: rb.ExactRigidBodyIntegrator(0.0005, "S2_2", fast=None, **options), 19),
-        (lambda **options: rb.ExactRigidBodyLangevinIntegrator(100.0, 1.0, 0.0005, "S2_2", fast=None, **options), 23),
+        (lambda **options: rb.ExactRigidBodyIntegrator(0.0005, "S2_2", fast=None, **options), 21),
+        (lambda **options: rb.ExactRigidBodyLangevinIntegrator(100.0, 1.0, 0.0005, "S2_2", fast=None, **options), 25),
         (lambda **options: rb.ExactRigidBodyIntegrator(0.0005, "S2_2", fast="bonded", **options), 28),
     ],
     ids=["plain", "Langevin", "nested"],
@@ -69,4 +69,4 @@ def test_a_step_of_a_peptide_passes_few_files(make, most):
     _, system, positions = peptide()
     files, outside = trace_of(system, positions, make(engine="host"))
     assert len(files) <= most, sorted(files)
-    assert outside <= 150
+    assert outside <= 180  # inner steps take Python 25 more

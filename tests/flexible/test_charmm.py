@@ -10,10 +10,9 @@ from openmm import app
 
 import openmm_exactrb as rb
 from both_engines import apart, nested, pair
-from openmm_exactrb import kernels
 from openmm_exactrb.detection.find import find_bodies
-from openmm_exactrb.multiple_time_steps.compiled_forces import terms_of
 from openmm_exactrb.multiple_time_steps.excerpt import bonded_excerpt
+from openmm_exactrb.multiple_time_steps.excerpt_forces import by_library, terms_of
 from starts import context_of, positions_of
 
 pytestmark = [pytest.mark.library, pytest.mark.opencl]
@@ -55,7 +54,7 @@ def test_bonded_forces_are_openmms(molecule):
     excerpt = bonded_excerpt(system, find_bodies(system, x), {1})
     terms, ours = terms_of(excerpt.forces, -1), np.zeros_like(x)
     assert len(terms.impropers)
-    kernels.load("bonded").forces(x, terms, ours)
+    by_library(terms)(x, ours)
     np.testing.assert_allclose(ours, theirs, rtol=0.0, atol=1e-11 * np.abs(theirs).max())
 
 

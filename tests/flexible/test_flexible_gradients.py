@@ -9,7 +9,7 @@ from bonded_terms import tether
 from both_engines import apart, nested, pair, twice_from
 from openmm_exactrb.engines.native.flexible import blocks
 from openmm_exactrb.schemes import Scheme
-from openmm_exactrb.substeps import DRIFT, GradientKick
+from openmm_exactrb.steps.substeps import DRIFT, GradientKick
 from peptides import in_water, peptide, violations
 from places import WHERE, device_platform
 from products import spread_over

@@ -4,9 +4,10 @@ import pytest
 
 from both_engines import apart, maker, pair
 from graphs import GRAPHS, chain, comb, system_of
+from openmm_exactrb.constraints import tables as constraints
+from openmm_exactrb.constraints.tables import Group
 from openmm_exactrb.detection.find import find_bodies
-from openmm_exactrb.engines.native.flexible import constraints
-from openmm_exactrb.engines.native.flexible.blocks import Group, blocks_of
+from openmm_exactrb.engines.native.flexible.blocks import blocks_of
 from openmm_exactrb.engines.native.flexible.molecules import LARGEST, NotServedError, require_small_clusters
 from peptides import violations
 from starts import held
@@ -32,7 +33,8 @@ def arrays_of(graphs):
     """Return the kernel's arrays of clusters by name."""
     system, x = system_of(graphs)
     groups = [Group(kind.particles, kind.graph) for kind in find_bodies(system, x, pairs=True).clusters.kinds]
-    return constraints.arrays(blocks_of(groups, [], len(x)))[0]
+    blocks = blocks_of(groups, [], len(x))
+    return constraints.arrays(blocks.starts, blocks.sizes, blocks.groups)[0]
 
 
 def test_memory_is_linear_in_constraints_and_copies_share_their_tables():

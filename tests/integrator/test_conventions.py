@@ -10,7 +10,7 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 from every_integrator import WAYS
-from openmm_exactrb.engines.library import of_library
+from openmm_exactrb.library.library import of_library
 from openmm_exactrb.thermostats import HybridMonteCarlo, Langevin, NoseHooverChain, StochasticRescaling
 from places import platform_for
 from products import spread

@@ -16,7 +16,7 @@ import pytest
 import openmm_exactrb as rb
 from every_integrator import MOVING, made
 from lifetimes import assert_freed_without_the_garbage_collector
-from openmm_exactrb.engines.library import Machine
+from openmm_exactrb.library.library import Machine
 from openmm_exactrb.openmm_access.handed_out import FUNCTIONS
 from places import platform_for
 from products import spread_over

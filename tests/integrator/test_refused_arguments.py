@@ -10,7 +10,7 @@ import openmm_exactrb as rb
 import starts
 from every_integrator import unconstrained
 from openmm_exactrb.schemes import Scheme, spelled
-from openmm_exactrb.substeps import DRIFT
+from openmm_exactrb.steps.substeps import DRIFT
 from refusals import assert_refused, for_each, refused, with_options
 
 EVERY = [

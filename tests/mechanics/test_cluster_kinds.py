@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.constraints import clusters as constrained_clusters
-from openmm_exactrb.mechanics.clusters import LARGEST, ClusterKind, sorted_into_kinds
+from openmm_exactrb.constraints.clusters import LARGEST, ClusterKind, sorted_into_kinds
 
 STAR = np.array([(0, 1), (2, 0), (0, 3)])
 

@@ -10,20 +10,17 @@ import geodesics
 import openmm_exactrb as rb
 from benchmarks.constraints import clusters as constrained_clusters
 from charts import ClusterChart
-from openmm_exactrb.kernels.plain import clusters as plain_clusters
+from openmm_exactrb.constraints.clusters import LARGEST, Clusters, ClusterState, sorted_into_kinds
 from openmm_exactrb.mathematics.quaternions import from_matrix, rotation_matrix
-from openmm_exactrb.mechanics.clusters import LARGEST, Clusters, ClusterState, sorted_into_kinds
 
 
 class NumpyClusters(Clusters):
-    """Clusters that move in numpy."""
+    """Clusters that move in NumPy."""
 
-    def __init__(self, kinds):
-        super().__init__(kinds)
-        self._advance = plain_clusters.advance
+    _advanced = Clusters.advanced_in_numpy
 
 
-KERNELS = {"compiled": Clusters, "numpy": NumpyClusters}
+KERNELS = {"library": Clusters, "numpy": NumpyClusters}
 STARS = ["XH", "XH2", "XH3", "XH4"]
 EPS = 2.0**-52
 
@@ -149,7 +146,7 @@ def test_the_oracle_itself_keeps_energy_and_constraints_to_its_digits():
 @pytest.mark.parametrize(("t", "rounding"), [(0.0005, 1e-15), (0.004, 1e-15), (0.02, 0.5 * EPS * 500**0.5)])
 def test_five_hundred_steps_keep_energy_and_constraints_to_1e_15(name, t, rounding):
     """In a step of 20 fs hydrogens turn by half a radian, and the energy walks with half a rounding a step."""
-    clusters, start = many(name, "compiled", away=10.0)
+    clusters, start = many(name, "library", away=10.0)
     state = start
     for _ in range(500):
         state = clusters.drift(state, t)
@@ -162,7 +159,7 @@ def test_five_hundred_steps_keep_energy_and_constraints_to_1e_15(name, t, roundi
 def test_the_energy_walks_without_a_direction(which):
     """Also where hydrogens turn by half a radian a step and every step rounds the same lengths again."""
     copies = 256
-    clusters, state = many(which, "compiled", copies)
+    clusters, state = many(which, "library", copies)
 
     def energies(state):
         p, low = state.p
@@ -177,7 +174,7 @@ def test_the_energy_walks_without_a_direction(which):
 
 
 def test_five_hundred_steps_and_back_return_to_1e_14_nm(name):
-    clusters, start = many(name, "compiled", away=10.0)
+    clusters, start = many(name, "library", away=10.0)
     state = start
     for _ in range(500):
         state = clusters.drift(state, 0.002)
@@ -187,7 +184,7 @@ def test_five_hundred_steps_and_back_return_to_1e_14_nm(name):
     assert np.abs((state.x - start.x).sum(axis=0)).max() < 1e-14
 
 
-def test_twenty_steps_in_numpy_keep_what_the_others_keep(name):
+def test_twenty_stepsadvanced_in_numpy_keep_what_the_others_keep(name):
     clusters, start = many(name, "numpy", away=10.0)
     state = start
     for _ in range(20):
@@ -373,7 +370,7 @@ def test_a_chain_of_thousands_of_constraints_moves_as_well(rng):
     steps = rng.standard_normal((n, 3))
     x = np.cumsum(0.15 * steps / np.linalg.norm(steps, axis=1, keepdims=True), axis=0)
     pairs = np.column_stack([np.arange(n - 1), np.arange(1, n)])
-    clusters = clusters_of(np.full(n, 12.0), pairs, np.full(n - 1, 0.15), "compiled")
+    clusters = clusters_of(np.full(n, 12.0), pairs, np.full(n - 1, 0.15), "library")
     assert len(clusters.kinds[0].graph.columns) == 2 * (n - 1) - 1
     start = constrained_clusters.on_constraints(clusters, x, 0.3 * rng.standard_normal((n, 3)))
     state = start

@@ -12,8 +12,8 @@ from openmm_exactrb.mathematics.compensated import exactly
 from openmm_exactrb.mechanics.free_motion import rigid
 from openmm_exactrb.mechanics.state import ForceMemory, State
 from openmm_exactrb.rotors import rotor_of_sums
-from openmm_exactrb.schemes.sequence import repeated, run
-from openmm_exactrb.substeps import DRIFT, KICK, GradientKick, gradient_kick, kick
+from openmm_exactrb.steps.sequence import repeated, run
+from openmm_exactrb.steps.substeps import DRIFT, KICK, GradientKick, gradient_kick, kick
 from orders import exponent, slope
 from sequences import gradient_kicks
 from starts import context_of

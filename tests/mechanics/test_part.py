@@ -9,7 +9,7 @@ from openmm_exactrb.mechanics.free_motion import free_motion
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.multiple_time_steps.excerpt import bonded_excerpt
 from openmm_exactrb.multiple_time_steps.inner_drift import inner_steps
-from openmm_exactrb.substeps import kick
+from openmm_exactrb.steps.substeps import kick
 from peptides import in_water, moving
 
 

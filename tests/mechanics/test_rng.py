@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from openmm_exactrb.mechanics.rng import PURPOSES, Instant, Purpose
+from openmm_exactrb.random.rng import PURPOSES, Instant, Purpose
 
 _WORD = 2**64 - 1
 

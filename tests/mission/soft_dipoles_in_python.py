@@ -16,8 +16,8 @@ from openmm import app
 
 import openmm_exactrb as rb
 from benchmarks.schemes import roundoff
-from openmm_exactrb.engines.library import of_library
-from openmm_exactrb.rotors import exact
+from openmm_exactrb.library.library import of_library
+from openmm_exactrb.rotors import closed_form
 from places import REFERENCE
 from starts import positions_of, simulation_of, topology_of
 
@@ -36,7 +36,7 @@ def counting(function, calls):
 
 def main(scheme, h, steps, folder):
     calls = []
-    exact.plain.advance = counting(exact.plain.advance, calls)
+    closed_form.advance = counting(closed_form.advance, calls)
     system, positions, velocities = roundoff.dipoles_of(1, DIPOLES, "bonds")
     integrator = rb.ExactRigidBodyIntegrator(h, scheme, rotor="exact_numpy")
     simulation = simulation_of(topology_of(system), system, integrator, positions, velocities, platform=REFERENCE)

@@ -10,7 +10,7 @@ import pytest
 
 import openmm_exactrb as rb
 from benchmarks.common.records import RECORDS, read
-from openmm_exactrb.substeps import DRIFT
+from openmm_exactrb.steps.substeps import DRIFT
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]

@@ -1,4 +1,4 @@
-"""Bonds, angles, torsions and pairs, compiled and in numpy, have the forces of OpenMM's Reference platform."""
+"""Bonds, angles, torsions and pairs, by the library and in NumPy, have the forces of OpenMM's Reference platform."""
 
 import numpy as np
 import openmm
@@ -17,17 +17,17 @@ from bonded_terms import (
     system_of,
     terms_in,
 )
-from openmm_exactrb import kernels
-from openmm_exactrb.kernels.plain import bonded
+from openmm_exactrb.multiple_time_steps import bonded_forces
 from openmm_exactrb.multiple_time_steps.bonded import interacting_exceptions
-from openmm_exactrb.multiple_time_steps.compiled_forces import has_known_form
+from openmm_exactrb.multiple_time_steps.excerpt_forces import by_library, has_known_form
 from starts import context_of
 
 
-@pytest.fixture(params=["compiled", "numpy"])
+@pytest.fixture(params=[pytest.param("library", marks=pytest.mark.library), "numpy"])
 def forces(request):
-    """Return the function of the kernels that writes forces."""
-    return (kernels.load("bonded") if request.param == "compiled" else bonded).forces
+    """Return a function that writes forces."""
+    in_numpy = request.param == "numpy"
+    return bonded_forces.forces if in_numpy else lambda x, terms, out: by_library(terms)(x, out)
 
 
 def both(forces, system, x, groups=-1):

@@ -8,13 +8,13 @@ from hypothesis import strategies as st
 
 from custom_forces import ENERGIES, KINDS, N, chain, force_of
 from kicks import Kicks
-from openmm_exactrb.engines.library import library
 from openmm_exactrb.engines.native.flexible import blocks
 from openmm_exactrb.engines.native.flexible.blocks import Group
 from openmm_exactrb.engines.native.flexible.expressions import Custom
 from openmm_exactrb.engines.native.flexible.molecules import Molecules
+from openmm_exactrb.library.library import library
 from openmm_exactrb.multiple_time_steps.bonded import Bonded
-from openmm_exactrb.multiple_time_steps.compiled_forces import NO_TERMS
+from openmm_exactrb.multiple_time_steps.terms import NO_TERMS
 from places import REFERENCE, device_platform
 from starts import context_of
 

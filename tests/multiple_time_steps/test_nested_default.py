@@ -11,7 +11,7 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 from openmm_exactrb.schemes import Scheme
-from openmm_exactrb.substeps import DRIFT, Kick, Substep
+from openmm_exactrb.steps.substeps import DRIFT, Kick, Substep
 from peptides import bonded_apart, end_of, moving, peptide, positions_of
 from places import platform_for
 from starts import context_of, force_of, system_of

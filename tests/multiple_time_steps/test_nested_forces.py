@@ -15,7 +15,7 @@ from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.multiple_time_steps.excerpt import bonded_excerpt
 from openmm_exactrb.multiple_time_steps.stiffness import fastest
 from openmm_exactrb.schemes import Scheme
-from openmm_exactrb.schemes.sequence import spelled
+from openmm_exactrb.steps.sequence import spelled
 from orders import slope
 from peptides import FORCE_FIELD, PEPTIDE, bonded_apart, end_of, moving, peptide, positions_of
 from places import REFERENCE

@@ -12,7 +12,7 @@ import openmm_exactrb as rb
 from openmm_exactrb.mechanics.divergence import Overheating, freedom_by_kind, kinetic_by_kind
 from openmm_exactrb.multiple_time_steps.resonance import Resonances, growth
 from openmm_exactrb.schemes import splitting
-from openmm_exactrb.substeps import DRIFT
+from openmm_exactrb.steps.substeps import DRIFT
 from peptides import in_water, peptide
 from starts import context_of, system_of
 

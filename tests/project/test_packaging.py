@@ -12,8 +12,8 @@ import pytest
 import yaml
 from publish import publish
 
-from openmm_exactrb.engines import compilation
-from openmm_exactrb.engines.compilation import OPENMM
+from openmm_exactrb.library import compilation
+from openmm_exactrb.library.compilation import OPENMM
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]

@@ -8,7 +8,7 @@ TEXTS = {
     str(file.relative_to(ROOT)): file.read_text(encoding="utf-8")
     for folder in ("openmm_exactrb", "tests", "benchmarks")
     for file in (ROOT / folder).rglob("*.py")
-    if "kernels" not in file.relative_to(ROOT).parts
+    if not {"kernels", "compiled"} & {*file.relative_to(ROOT).parts}
 }
 
 

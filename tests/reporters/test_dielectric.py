@@ -7,7 +7,7 @@ from scipy.signal import lfilter
 from scipy.special import erf
 
 import openmm_exactrb as rb
-from openmm_exactrb.dielectric import reaction
+from openmm_exactrb.potentials.dielectric import reaction
 
 KT, VOLUME = 1.2, 30.0
 E_NM = unit.elementary_charge * unit.nanometer

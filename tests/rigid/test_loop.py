@@ -10,8 +10,8 @@ from few_dipoles import simulation_of, snapshot
 from openmm_exactrb.mechanics.free_motion import rigid
 from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.rotors import rotor_of_sums
-from openmm_exactrb.schemes.sequence import run
-from openmm_exactrb.substeps import DRIFT, KICK, GradientKick, LastForcesKick, gradient_kick, kick
+from openmm_exactrb.steps.sequence import run
+from openmm_exactrb.steps.substeps import DRIFT, KICK, GradientKick, LastForcesKick, gradient_kick, kick
 from places import REFERENCE
 
 pytestmark = pytest.mark.usefixtures("host_is_advised")

@@ -11,10 +11,10 @@ from openmm import app
 
 import openmm_exactrb as rb
 from both_engines import apart, begun, maker, pair
-from openmm_exactrb.moves import Move, Op
 from openmm_exactrb.schemes import Scheme
-from openmm_exactrb.schemes.sequence import spelled
-from openmm_exactrb.substeps import DRIFT, KICK, Substep
+from openmm_exactrb.steps.moves import Move, Op
+from openmm_exactrb.steps.sequence import spelled
+from openmm_exactrb.steps.substeps import DRIFT, KICK, Substep
 from starts import held
 from zoo import every_kind, water
 

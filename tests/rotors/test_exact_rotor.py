@@ -17,7 +17,7 @@ def allowed(rate):
     return np.where(rate <= 0.3, 2e-15, 1e-16 * (20.0 + 20.0 * rate))
 
 
-TWINS = ["exact_numpy", "exact_compiled"]
+TWINS = ["exact_numpy", "exact"]
 
 
 def largest_errors(inertia, q, m, t):
@@ -119,7 +119,7 @@ def test_invariants_walk_randomly_over_many_steps(twin):
 
 
 @pytest.mark.validate
-@pytest.mark.parametrize(("method", "steps"), [("exact_numpy", 10_000), ("exact_compiled", 100_000)])
+@pytest.mark.parametrize(("method", "steps"), [("exact_numpy", 10_000), ("exact", 100_000)])
 def test_invariants_walk_randomly_over_more_steps(method, steps):
     assert_random_walk(steps, method)
 

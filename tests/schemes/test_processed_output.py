@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import openmm_exactrb as rb
-from openmm_exactrb.substeps import DRIFT, LastForcesKick
+from openmm_exactrb.steps.substeps import DRIFT, LastForcesKick
 from thermostatted import droplet_of
 
 WITH_OUTPUT = [name for name, scheme in rb.SCHEMES.items() if scheme.output]

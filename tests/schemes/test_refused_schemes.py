@@ -4,8 +4,8 @@ from functools import partial
 
 import openmm_exactrb as rb
 from openmm_exactrb.schemes import WITH_THERMOSTAT, Scheme, scheme, shadow, stability_limit, symmetric
-from openmm_exactrb.schemes.sequence import run, spelled
-from openmm_exactrb.substeps import DRIFT, HEAT_EXCHANGE, KICK, Kick, Substep
+from openmm_exactrb.steps.sequence import run, spelled
+from openmm_exactrb.steps.substeps import DRIFT, HEAT_EXCHANGE, KICK, Kick, Substep
 from refusals import assert_refused, for_each, refused
 
 PAIRS = "scheme mine: .* pairs of a Substep and its fraction of the step, not"

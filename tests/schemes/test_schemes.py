@@ -11,7 +11,7 @@ import openmm_exactrb as rb
 from openmm_exactrb import schemes
 from openmm_exactrb.schemes import Scheme, force_gradient, saba, sbab, symmetric
 from openmm_exactrb.schemes import scheme as look_up
-from openmm_exactrb.substeps import DRIFT, KICK
+from openmm_exactrb.steps.substeps import DRIFT, KICK
 from orders import composes_verlet
 from sequences import advanced, gradient_kicks
 

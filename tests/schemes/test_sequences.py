@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import openmm_exactrb as rb
-from openmm_exactrb.schemes.sequence import inverse, merged, palindromic, repeated, run, spelled
-from openmm_exactrb.substeps import DRIFT, HEAT_EXCHANGE, KICK, GradientKick, HeatExchange, Kick, Substep
+from openmm_exactrb.steps.sequence import inverse, merged, palindromic, repeated, run, spelled
+from openmm_exactrb.steps.substeps import DRIFT, HEAT_EXCHANGE, KICK, GradientKick, HeatExchange, Kick, Substep
 
 GRADIENT, SLOW, PLACE = GradientKick(0.1), Kick(1), Substep()
 SUBSTEPS = [DRIFT, KICK, SLOW, GRADIENT, HEAT_EXCHANGE, HeatExchange(1), PLACE]

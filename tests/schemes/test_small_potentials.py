@@ -10,7 +10,7 @@ import openmm_exactrb as rb
 from benchmarks.paper.problems import HeavyTop, energy, integrate
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.schemes import scheme as look_up
-from openmm_exactrb.substeps import DRIFT, KICK, GradientKick
+from openmm_exactrb.steps.substeps import DRIFT, KICK, GradientKick
 from orders import exponent, slope
 
 

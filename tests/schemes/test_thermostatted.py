@@ -10,7 +10,7 @@ import openmm_exactrb as rb
 from openmm_exactrb.schemes import WITH_THERMOSTAT, scheme_for_thermostat, shadow, stability_limit
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.thermostatted import reading_point
-from openmm_exactrb.substeps import DRIFT, HEAT_EXCHANGE, KICK
+from openmm_exactrb.steps.substeps import DRIFT, HEAT_EXCHANGE, KICK
 
 SPLIT = WITH_THERMOSTAT["W2_3m"].sequence
 

@@ -8,7 +8,7 @@ import pytest
 
 import openmm_exactrb as rb
 from openmm_exactrb.schemes import Scheme
-from openmm_exactrb.substeps import DRIFT, KICK, Drift, GradientKick, HeatExchange, Kick, LastForcesKick, Substep
+from openmm_exactrb.steps.substeps import DRIFT, KICK, Drift, GradientKick, HeatExchange, Kick, LastForcesKick, Substep
 from openmm_exactrb.support.descriptions import mismatch, unperformed
 from openmm_exactrb.thermostats import HybridMonteCarlo, Langevin, NoseHooverChain, StochasticRescaling
 

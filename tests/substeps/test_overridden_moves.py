@@ -6,9 +6,9 @@ import pytest
 
 import openmm_exactrb as rb
 import starts
-from openmm_exactrb.moves import Move, Op
 from openmm_exactrb.schemes import Scheme
-from openmm_exactrb.substeps import KICK, Drift, Kick
+from openmm_exactrb.steps.moves import Move, Op
+from openmm_exactrb.steps.substeps import KICK, Drift, Kick
 from openmm_exactrb.thermostats import Langevin, StochasticRescaling
 from overriding import Halved, moved, scheme_of
 from places import platform_for

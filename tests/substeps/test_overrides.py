@@ -9,7 +9,7 @@ import pytest
 import openmm_exactrb as rb
 import starts
 from openmm_exactrb.schemes import Scheme, stability_limit
-from openmm_exactrb.substeps import DRIFT, KICK, Drift, GradientKick, HeatExchange, Kick, LastForcesKick, Substep
+from openmm_exactrb.steps.substeps import DRIFT, KICK, Drift, GradientKick, HeatExchange, Kick, LastForcesKick, Substep
 from openmm_exactrb.support.descriptions import mismatch
 from openmm_exactrb.thermostats import HybridMonteCarlo, Langevin, NoseHooverChain, StochasticRescaling
 from overriding import (

@@ -17,8 +17,8 @@ from few_dipoles import KT, simulation_of, snapshot
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.rotors.flow import ascending
 from openmm_exactrb.schemes import Scheme
-from openmm_exactrb.schemes.sequence import repeated, spelled
-from openmm_exactrb.substeps import DRIFT, KICK, Drift, GradientKick, Kick, Substep
+from openmm_exactrb.steps.sequence import repeated, spelled
+from openmm_exactrb.steps.substeps import DRIFT, KICK, Drift, GradientKick, Kick, Substep
 from orders import slope
 from places import REFERENCE
 

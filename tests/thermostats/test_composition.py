@@ -6,8 +6,8 @@ import pytest
 
 import openmm_exactrb as rb
 from openmm_exactrb.schemes import WITH_THERMOSTAT, thermostatted
-from openmm_exactrb.schemes.sequence import merged, palindromic
-from openmm_exactrb.substeps import HeatExchange, Substep
+from openmm_exactrb.steps.sequence import merged, palindromic
+from openmm_exactrb.steps.substeps import HeatExchange, Substep
 from openmm_exactrb.thermostats import HybridMonteCarlo
 from openmm_exactrb.thermostats.hybrid import Metropolis
 

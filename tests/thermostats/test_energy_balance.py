@@ -6,9 +6,9 @@ import pytest
 
 import openmm_exactrb as rb
 from openmm_exactrb.schemes import WITH_THERMOSTAT
-from openmm_exactrb.schemes.sequence import behind_exchange, palindromic
 from openmm_exactrb.schemes.thermostatted import with_thermostat
-from openmm_exactrb.substeps import DRIFT
+from openmm_exactrb.steps.sequence import behind_exchange, palindromic
+from openmm_exactrb.steps.substeps import DRIFT
 from peptides import in_water
 from places import REFERENCE
 from starts import simulation_of

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 import openmm_exactrb as rb
-from openmm_exactrb.context.bath_access import Tally
+from openmm_exactrb.integrators.bath_access import Tally
 from openmm_exactrb.thermostats.hybrid import accepts
 from thermostatted import droplet_of
 

@@ -8,7 +8,7 @@ from scipy.sparse.linalg import expm_multiply
 
 from openmm_exactrb.mathematics.compensated import exactly
 from openmm_exactrb.mathematics.quaternions import matrix
-from openmm_exactrb.mechanics.rng import Instant, Purpose
+from openmm_exactrb.random.rng import Instant, Purpose
 from openmm_exactrb.rotors import rotor_of_sums
 from openmm_exactrb.thermostats.langevin import ornstein_uhlenbeck
 

@@ -9,7 +9,7 @@ from openmm import unit
 
 import openmm_exactrb as rb
 from openmm_exactrb.schemes import Scheme
-from openmm_exactrb.substeps import DRIFT, KICK
+from openmm_exactrb.steps.substeps import DRIFT, KICK
 from openmm_exactrb.thermostats import HybridMonteCarlo
 from openmm_exactrb.thermostats.langevin import ornstein_uhlenbeck
 from openmm_exactrb.thermostats.rescaling import rescaling

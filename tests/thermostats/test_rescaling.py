@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from openmm_exactrb.mathematics.compensated import exactly
-from openmm_exactrb.mechanics.rng import Instant
+from openmm_exactrb.random.rng import Instant
 from openmm_exactrb.thermostats.rescaling import kinetic_energy, rescaling
 
 AT = Instant(seed=5, step=7, substep=2)

@@ -12,17 +12,17 @@ from openmm_exactrb.context.synchronisation import Positions
 from openmm_exactrb.context.updates import ContextUpdates
 from openmm_exactrb.context.variables import Numbers
 from openmm_exactrb.engines.engine import Settings
-from openmm_exactrb.environment import Clock, Forces
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.divergence import DivergenceCheck
 from openmm_exactrb.mechanics.free_motion import Kinetic
 from openmm_exactrb.mechanics.state import Flow, State
 from openmm_exactrb.openmm_access.molecules import in_flexible_molecules
-from openmm_exactrb.schemes.sequence import Sequence, bound, through
-from openmm_exactrb.substeps import Substep
+from openmm_exactrb.steps.environment import Clock, Forces
+from openmm_exactrb.steps.sequence import Sequence, bound, through
+from openmm_exactrb.steps.substeps import Substep
 from openmm_exactrb.support.descriptions import mismatch
 from openmm_exactrb.support.types import Array
-from openmm_exactrb.thermostat import kinetic_gain
+from openmm_exactrb.thermostats.thermostat import kinetic_gain
 
 #: Flows of substeps with their times (ps).
 Bound = list[tuple[Flow[State], float]]
@@ -30,7 +30,7 @@ Bound = list[tuple[Flow[State], float]]
 
 @dataclass
 class HostEnvironment:
-    """The `openmm_exactrb.environment.Environment` of a Context, to which substeps are bound.
+    """The `openmm_exactrb.steps.environment.Environment` of a Context, to which substeps are bound.
 
     `slow` contains the forces of kicks, and `all_forces` the forces of all active force groups. In `whole`, unlike in
     `bodies`, each constrained pair of particles is a linear body (see `openmm_exactrb.multiple_time_steps.found`).

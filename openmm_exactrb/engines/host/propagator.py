@@ -27,14 +27,14 @@ from openmm_exactrb.context.variables import Numbers
 from openmm_exactrb.engines.engine import Settings
 from openmm_exactrb.engines.host.environment import Bound, HostEnvironment
 from openmm_exactrb.engines.host.storage import storage_of
-from openmm_exactrb.engines.library import library, of_library
+from openmm_exactrb.library.library import library, of_library
 from openmm_exactrb.mechanics.divergence import DivergenceCheck, Overheating, freedom_by_kind, kinetic_by_kind
 from openmm_exactrb.mechanics.free_motion import Kinetic, free_motion
 from openmm_exactrb.mechanics.state import Flow, ForceMemory, State
 from openmm_exactrb.multiple_time_steps.inner_drift import InnerDrift
 from openmm_exactrb.openmm_access import arrays
-from openmm_exactrb.schemes.sequence import behind_exchange, inverse, through, up_to_kick
 from openmm_exactrb.schemes.thermostatted import canonical_momenta
+from openmm_exactrb.steps.sequence import behind_exchange, inverse, through, up_to_kick
 
 
 class Clock:

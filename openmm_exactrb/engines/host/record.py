@@ -10,7 +10,7 @@ from openmm_exactrb.context import variables
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.engines.engine import Engine, Settings
 from openmm_exactrb.engines.host.propagator import HostPropagator
-from openmm_exactrb.engines.library import of_library
+from openmm_exactrb.library.library import of_library
 
 
 def _marks(settings: Settings) -> tuple[float, ...]:

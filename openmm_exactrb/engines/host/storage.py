@@ -9,7 +9,7 @@ import numpy as np
 
 from openmm_exactrb.context.variables import INNER, SHOWN, PerDof, Storage, by_library, own_numbers
 from openmm_exactrb.engines.engine import Settings
-from openmm_exactrb.engines.library import Machine, library, of_library
+from openmm_exactrb.library.library import Machine, library, of_library
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.state import Force, State
 from openmm_exactrb.support.types import Array

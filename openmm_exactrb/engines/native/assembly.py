@@ -16,11 +16,11 @@ from openmm_exactrb.engines.native.rigid import Demands, RigidPart, parts_of
 from openmm_exactrb.engines.native.segments import ALL, Step, Table, divided
 from openmm_exactrb.engines.native.sequences import Sequences
 from openmm_exactrb.mechanics.bodies import RigidBodies
-from openmm_exactrb.moves import Move, Op, of_substep
 from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.schemes.sequence import inverse, up_to_kick
 from openmm_exactrb.schemes.thermostatted import canonical_momenta
-from openmm_exactrb.thermostat import Factors, Thermostat
+from openmm_exactrb.steps.moves import Move, Op, of_substep
+from openmm_exactrb.steps.sequence import inverse, up_to_kick
+from openmm_exactrb.thermostats.thermostat import Factors, Thermostat
 
 #: Number of parameters of a heat exchange in addition to its time; see kernels/rigid.cl.
 EXCHANGE_NUMBERS = 8

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 from openmm_exactrb.context.synchronisation import Synchronisation
 from openmm_exactrb.engines.engine import Settings
-from openmm_exactrb.engines.library import Machine
 from openmm_exactrb.engines.native.flexible.molecules import Served
 from openmm_exactrb.engines.native.sequences import Part
+from openmm_exactrb.library.library import Machine
 from openmm_exactrb.mechanics.free_motion import free_motion
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.multiple_time_steps.fast_forces import FastForces
-from openmm_exactrb.schemes.sequence import behind_exchange, inverse
+from openmm_exactrb.steps.sequence import behind_exchange, inverse
 
 
 def at_exchange(settings: Settings, served: Served, fast: FastForces | None, sync: Synchronisation) -> State:

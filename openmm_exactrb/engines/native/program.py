@@ -6,8 +6,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-#: The folder of the kernel files.
-KERNELS = Path(__file__).parent / "kernels"
+# The kernel texts of the package, which are next to the physics that they describe, by name.
+_TEXTS = {path.name: path for path in Path(__file__).parents[2].rglob("*.cl")}
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Source:
     name : str
         The name of the compiled kernels that the library has for processors.
     pieces : tuple of str
-        Names of files in the folder `kernels` (NAME.cl), or source texts, in this order.
+        Names of the package's kernel texts (NAME.cl), or source texts, in this order.
     defines : tuple of (str, object)
         Names and values of macros, which are defined before the pieces.
     """
@@ -51,7 +51,7 @@ class Source:
 
 
 def _piece(piece: str) -> str:
-    return (KERNELS / piece).read_text(encoding="utf-8") if piece.endswith(".cl") else piece
+    return _TEXTS[piece].read_text(encoding="utf-8") if piece.endswith(".cl") else piece
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,6 @@ from openmm_exactrb.context.forces import ContextForces
 from openmm_exactrb.context.outside_forces import conserve_energy
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.updates import ContextUpdates
-from openmm_exactrb.engines.library import Machine, library
 from openmm_exactrb.engines.native.assembly import EXCHANGE_NUMBERS, Assembly
 from openmm_exactrb.engines.native.exchange import around_exchange, at_exchange
 from openmm_exactrb.engines.native.flexible.molecules import served
@@ -31,6 +30,7 @@ from openmm_exactrb.engines.native.reports import (
 )
 from openmm_exactrb.engines.native.state import NativeState
 from openmm_exactrb.errors import IntegrationError, NonFiniteError
+from openmm_exactrb.library.library import Machine, library
 from openmm_exactrb.mechanics.divergence import GROWN, HOTTEST, gained, non_finite
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.multiple_time_steps.fast_forces import FastForces

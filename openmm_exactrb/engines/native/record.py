@@ -11,19 +11,19 @@ import openmm
 from openmm_exactrb.context import variables
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.engines.engine import Engine, Propagator, Settings
-from openmm_exactrb.engines.library import TYPE, Machine, describe, library
 from openmm_exactrb.engines.native.flexible.molecules import NotServedError, served
 from openmm_exactrb.engines.native.propagator import NativePropagator
 from openmm_exactrb.errors import MissingLibraryError
+from openmm_exactrb.library.library import TYPE, Machine, describe, library
 from openmm_exactrb.mechanics.bodies import RigidBodies
-from openmm_exactrb.moves import Op, of_substep
 from openmm_exactrb.openmm_access import platforms
 from openmm_exactrb.rotors import ROTORS
 from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.substeps import Drift, HeatExchange, Substep
+from openmm_exactrb.steps.moves import Op, of_substep
+from openmm_exactrb.steps.substeps import Drift, HeatExchange, Substep
 from openmm_exactrb.support.descriptions import mismatch
 
-_ROTORS = ("exact", "exact_numpy", "exact_compiled")
+_ROTORS = ("exact", "exact_numpy")
 # The smallest ratio of the moments of inertia of a body; a thermal body with a smaller one may rotate about its axis by
 # thousands of radians in a drift.
 _SLENDER = 1e-6

@@ -10,10 +10,10 @@ import numpy as np
 from openmm_exactrb.context.synchronisation import Synchronisation
 from openmm_exactrb.context.updates import ContextUpdates
 from openmm_exactrb.engines.engine import Settings
-from openmm_exactrb.engines.library import Machine
 from openmm_exactrb.engines.native.flexible.part import FlexiblePart
 from openmm_exactrb.engines.native.rigid import RigidPart
 from openmm_exactrb.errors import IntegrationError
+from openmm_exactrb.library.library import Machine
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.divergence import Overheating, of_step
 from openmm_exactrb.multiple_time_steps.fast_forces import FastForces

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from openmm_exactrb.engines.library import Machine
 from openmm_exactrb.engines.native.program import Launch, Operation, Program, Source
 from openmm_exactrb.engines.native.segments import Segment, Table, merged
+from openmm_exactrb.library.library import Machine
 from openmm_exactrb.mathematics.compensated import exactly
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
 from openmm_exactrb.mechanics.divergence import LIGHT
 from openmm_exactrb.mechanics.state import State
-from openmm_exactrb.moves import MOVE, Op
 from openmm_exactrb.rotors.exact import constants
+from openmm_exactrb.steps.moves import MOVE, Op
 from openmm_exactrb.support.types import Array, Indices
 
 Values = Mapping[str, NDArray[Any]]

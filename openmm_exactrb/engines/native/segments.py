@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from openmm_exactrb.engines.native.program import Program
-from openmm_exactrb.moves import Exchange, Move, Op, of_substep
+from openmm_exactrb.steps.moves import Exchange, Move, Op, of_substep
 from openmm_exactrb.support.types import Array
 
 Rows = Iterable[tuple[object, float]]

@@ -13,9 +13,9 @@ from openmm_exactrb.engines.native.program import Operation, Program
 from openmm_exactrb.engines.native.segments import Rows, Segment, Step, Table, divided
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.schemes.sequence import Sequence as Substeps
-from openmm_exactrb.schemes.sequence import inverse
-from openmm_exactrb.substeps import Drift
+from openmm_exactrb.steps.sequence import Sequence as Substeps
+from openmm_exactrb.steps.sequence import inverse
+from openmm_exactrb.steps.substeps import Drift
 from openmm_exactrb.support.types import Array
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from openmm_exactrb.context import variables
 from openmm_exactrb.context.inner import Inner, has_saved_forces, save_forces
 from openmm_exactrb.context.synchronisation import Synchronisation
-from openmm_exactrb.engines.library import Machine
+from openmm_exactrb.library.library import Machine
 from openmm_exactrb.mechanics.fit import fit
 from openmm_exactrb.mechanics.state import State
 

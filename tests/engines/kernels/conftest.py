@@ -4,7 +4,7 @@ import sys
 import pytest
 from kernel_functions import Functions
 
-from openmm_exactrb.engines import compilation
+from openmm_exactrb.library import compilation
 
 
 @pytest.fixture(scope="session")

@@ -6,7 +6,7 @@ from pathlib import Path
 import mpmath as mp
 import numpy as np
 
-from openmm_exactrb.engines import compilation
+from openmm_exactrb.library import compilation
 from openmm_exactrb.support.lock import only_process
 
 #: The unit of roundoff.

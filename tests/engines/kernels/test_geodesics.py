@@ -7,9 +7,10 @@ from kernel_functions import U, sum_of
 
 import geodesics
 from benchmarks.constraints.clusters import CLUSTERS, group_of, lengths_of, velocities
-from openmm_exactrb.engines.native.flexible import constraints
-from openmm_exactrb.engines.native.flexible.blocks import Group, blocks_of
-from openmm_exactrb.mechanics.clusters import sorted_into_kinds
+from openmm_exactrb.constraints import tables as constraints
+from openmm_exactrb.constraints.clusters import sorted_into_kinds
+from openmm_exactrb.constraints.tables import Group
+from openmm_exactrb.engines.native.flexible.blocks import blocks_of
 
 #: Clusters of up to six atoms: stars of each size, and other graphs.
 SMALL = ["XH", "XH2", "XH3", "XH4", "chain", "ring", "water"]
@@ -25,7 +26,10 @@ class Cluster:
         self.start = geodesics.put_on(self.masses, self.pairs, self.lengths, x.tolist(), v.tolist())
         kinds = sorted_into_kinds([group_of(self.masses, self.pairs, self.lengths)]).kinds
         blocks = blocks_of([Group(kind.particles, kind.graph) for kind in kinds], [], n)
-        self.order, (tables, _) = blocks.particles, constraints.arrays(blocks, shared=True)
+        self.order, (tables, _) = (
+            blocks.particles,
+            constraints.arrays(blocks.starts, blocks.sizes, blocks.groups, shared=True),
+        )
         self.tables = [tables["clusters"], tables["graphs"], 1.0 / np.array(self.masses)[self.order], tables["lengths"]]
 
     def numbers(self, state):

@@ -9,7 +9,7 @@ from kernel_functions import U, pairs, words_of_numpy
 from scipy import stats
 
 from openmm_exactrb.mathematics import compensated
-from openmm_exactrb.mechanics.rng import PURPOSES, Instant
+from openmm_exactrb.random.rng import PURPOSES, Instant
 
 NUMBER = st.floats(-1e100, 1e100)
 LOW = st.floats(-0.5, 0.5)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from kernel_functions import U, pairs, sum_of
 
 import oracle
-from openmm_exactrb.engines import compilation
+from openmm_exactrb.library import compilation
 from openmm_exactrb.mathematics import quaternions
 from openmm_exactrb.mathematics.elliptic import RULES
 from openmm_exactrb.rotors.exact import constants

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from kernel_functions import U, words_of_numpy
 from scipy import stats
 
-from openmm_exactrb.mechanics.rng import PURPOSES, Instant, Purpose
+from openmm_exactrb.random.rng import PURPOSES, Instant, Purpose
 from openmm_exactrb.thermostats import NoseHooverChain
 from openmm_exactrb.thermostats.nose_hoover import WEIGHTS
 from openmm_exactrb.thermostats.rescaling import scaling

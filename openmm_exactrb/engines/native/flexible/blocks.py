@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
-from openmm_exactrb.kernels.records import Graph
+from openmm_exactrb.constraints.tables import Group
 from openmm_exactrb.support.types import Indices
 
 #: The cost of a block is the number of memberships of its atoms in terms, about 30 per atom in a protein, plus this
@@ -18,19 +17,6 @@ COST_OF_ATOM = 8
 #: Molecules whose cost is at most the second number are not divided. Larger molecules are divided into blocks whose
 #: cost is about the first number.
 COST_OF_BLOCK, COST_OF_MOLECULE = 1200, 6400
-
-
-class Group(NamedTuple):
-    """The particles (N, n) of clusters with the same constraint graph, or None for single atoms."""
-
-    particles: Indices
-    graph: Graph | None = None
-
-    @property
-    def star(self) -> bool:
-        """Whether the constraints connect the first member to all others."""
-        pairs = np.zeros((0, 2)) if self.graph is None else self.graph.pairs
-        return len(pairs) == self.particles.shape[1] - 1 and not pairs[:, 0].any()
 
 
 @dataclass(frozen=True)

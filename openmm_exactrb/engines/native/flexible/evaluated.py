@@ -9,10 +9,10 @@ from typing import ClassVar, NamedTuple
 
 from openmm_exactrb.engines.native.flexible.inner import InnerSteps
 from openmm_exactrb.engines.native.segments import ALL
-from openmm_exactrb.moves import Move, Op, of_substep
 from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.schemes.sequence import Sequence, merged, repeated
-from openmm_exactrb.substeps import DRIFT, KICK, Drift, Substep
+from openmm_exactrb.steps.moves import Move, Op, of_substep
+from openmm_exactrb.steps.sequence import Sequence, merged, repeated
+from openmm_exactrb.steps.substeps import DRIFT, KICK, Drift, Substep
 
 _ALL = 0xFFFFFFFF
 

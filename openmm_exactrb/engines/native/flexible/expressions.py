@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import openmm
 
-from openmm_exactrb.engines.library import library
+from openmm_exactrb.library.library import library
 from openmm_exactrb.multiple_time_steps.bonded import Bonded
 from openmm_exactrb.support.types import Array, Indices
 

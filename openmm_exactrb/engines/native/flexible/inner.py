@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from openmm_exactrb.engines.native.segments import Segment, merged
-from openmm_exactrb.moves import Move, Op
-from openmm_exactrb.schemes.sequence import Sequence, repeated
-from openmm_exactrb.substeps import KICK
+from openmm_exactrb.steps.moves import Move, Op
+from openmm_exactrb.steps.sequence import Sequence, repeated
+from openmm_exactrb.steps.substeps import KICK
 
 Moves = tuple[Move, ...]
 

@@ -9,17 +9,16 @@ from typing import Any, NamedTuple
 import numpy as np
 import openmm
 
-from openmm_exactrb.engines.native.flexible.blocks import Group
+from openmm_exactrb.constraints.tables import Group
 from openmm_exactrb.engines.native.flexible.evaluated import Evaluated
 from openmm_exactrb.engines.native.flexible.expressions import Custom
 from openmm_exactrb.engines.native.flexible.inner import InnerSteps
-from openmm_exactrb.engines.native.flexible.tables import particles
-from openmm_exactrb.kernels.records import Terms
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.multiple_time_steps.bonded import BONDED_FORCES, Bonded, acting, groups_of
-from openmm_exactrb.multiple_time_steps.compiled_forces import NO_TERMS, has_known_form, terms_of
 from openmm_exactrb.multiple_time_steps.excerpt import Excerpt, bonded_excerpt
+from openmm_exactrb.multiple_time_steps.excerpt_forces import has_known_form, terms_of
 from openmm_exactrb.multiple_time_steps.fast_forces import FastForces
+from openmm_exactrb.multiple_time_steps.terms import NO_TERMS, Terms, particles
 from openmm_exactrb.openmm_access import parameters, platforms
 from openmm_exactrb.support.types import Array, Indices
 

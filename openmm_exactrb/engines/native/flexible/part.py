@@ -7,18 +7,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from openmm_exactrb.engines.library import Machine
-from openmm_exactrb.engines.native.flexible import constraints, expressions, tables
+from openmm_exactrb.constraints import tables as clusters
+from openmm_exactrb.engines.native.flexible import expressions, tables
 from openmm_exactrb.engines.native.flexible.blocks import blocks_of
 from openmm_exactrb.engines.native.flexible.inner import Moves, moves_of, up_to_drifts
 from openmm_exactrb.engines.native.flexible.molecules import Molecules
 from openmm_exactrb.engines.native.program import Launch, Operation, Program, Source, copy
 from openmm_exactrb.engines.native.rigid import BLOCK, GROUPS, STILL, SUMS, TOTALS, Demands
 from openmm_exactrb.engines.native.segments import Segment, Table
+from openmm_exactrb.library.library import Machine
 from openmm_exactrb.mathematics.compensated import exactly, quotient, times
 from openmm_exactrb.mechanics.divergence import LIGHT
 from openmm_exactrb.mechanics.state import State
-from openmm_exactrb.moves import Op
+from openmm_exactrb.steps.moves import Op
 from openmm_exactrb.support.types import Array, Indices
 
 #: Number of threads per block of atoms.
@@ -59,7 +60,9 @@ class FlexiblePart:
         self._parameters = list(expressions.parameters_of(customs))
         self.blocks = blocks_of(molecules.groups, terms, len(molecules.masses), divides=not demands.pairs)
         self._precision, self._masses, self._body_of = precision, molecules.masses, molecules.body_of
-        self._of_clusters, of_clusters = constraints.arrays(self.blocks, shared=demands.pairs)
+        self._of_clusters, of_clusters = clusters.arrays(
+            self.blocks.starts, self.blocks.sizes, self.blocks.groups, shared=demands.pairs
+        )
         self._of_terms, of_terms = tables.arrays(molecules.terms, self.blocks, precision, customs)
         self.n = len(self.blocks.particles)
         self.columns = self._body_of[self.blocks.particles]

@@ -11,21 +11,8 @@ from numpy.typing import NDArray
 from openmm_exactrb.engines.native.flexible import expressions
 from openmm_exactrb.engines.native.flexible.blocks import Blocks
 from openmm_exactrb.engines.native.flexible.expressions import Custom
-from openmm_exactrb.kernels.records import Terms
-from openmm_exactrb.support.types import Array, Indices
-
-#: Kinds of terms in the order of the kernel's tables.
-KINDS = ("bonds", "angles", "torsions", "pairs", "impropers", "maps")
-#: Kinds whose numbers are always in double precision.
-EXACT = ("pairs", "maps")
-
-
-class Kind(NamedTuple):
-    """The T terms of a kind: `particles` (T, k), further integers `others` (j, T) for the kernel, and `numbers`."""
-
-    particles: Indices
-    others: Indices
-    numbers: Array
+from openmm_exactrb.multiple_time_steps.terms import EXACT, Terms, kinds_of
+from openmm_exactrb.support.types import Indices
 
 
 class Copies(NamedTuple):
@@ -41,31 +28,6 @@ class Local(NamedTuple):
 
     atoms: Indices
     first: Indices
-
-
-def kinds_of(terms: Terms, precision: type[np.floating[Any]]) -> dict[str, Kind]:
-    """Convert the terms of the host's kernel to kinds by name, with the numbers that the kernel needs."""
-    length, strength = terms.of_bonds
-    square = length * length
-    near = square.astype(precision).astype(np.float64)
-    numbers = (
-        np.stack([length, near, square - near, strength]),
-        terms.of_angles,
-        terms.of_torsions.reshape(2 * terms.of_torsions.shape[1], len(terms.torsions)),
-        terms.of_pairs,
-        terms.of_impropers,
-        np.zeros((0, len(terms.maps))),
-    )
-    kinds = {
-        name: Kind(of_kind, np.zeros((0, len(of_kind)), dtype=np.int64), values)
-        for name, of_kind, values in zip(KINDS, particles(terms), numbers, strict=True)
-    }
-    return kinds | {"maps": kinds["maps"]._replace(others=terms.maps[:, 8:].T)}
-
-
-def particles(terms: Terms) -> list[Indices]:
-    """Return the particles (T, k) of the terms of each kind."""
-    return [terms.bonds, terms.angles, terms.torsions, terms.pairs, terms.impropers, terms.maps[:, :8]]
 
 
 def _distinct(keys: Indices) -> Indices:

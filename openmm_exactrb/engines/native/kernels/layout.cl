@@ -2,7 +2,7 @@
 typedef FINE fine;
 #define NOT_A_NUMBER (0.0/0.0)
 
-// The kinds of moves in openmm_exactrb.moves, and the columns of the table of moves.
+// The kinds of moves in openmm_exactrb.steps.moves, and the columns of the table of moves.
 enum { DRIFT = 0, KICK = 1, EXCHANGE = 2, LAST_KICK = 3, REMEMBER = 4, DISPLACE = 5, DISPLACED_KICK = 6, FAST_KICK = 7 };
 enum { OP, NUMBER_OF_MOVE, FIRST_NUMBER, NUMBERS_OF_MOVE, MOVE_ROW };
 // Indices of the friction factor of translation among the numbers of a heat exchange, for isolated bodies and for
@@ -23,5 +23,5 @@ enum { ATOMS_OF_TERM, TERMS_OF_CUSTOM, FIRST_MEMBER, FIRST_OF_NUMBERS, FIRST_STE
 enum { COORDINATE, NUMBER_OF_TERM, PARAMETER, CONSTANT, FIRST_OPERATION };
 enum { STEP_ROW = 4 };
 enum { FIRST_ATOM, ATOMS_OF_CLUSTER, GRAPH, ROOM, CLUSTER_ROW };
-// The numbers at the start of the table of a graph; see openmm_exactrb.engines.native.flexible.constraints.
+// The numbers at the start of the table of a graph; see openmm_exactrb.constraints.tables.
 enum { CONSTRAINTS, ENTRIES, PRODUCTS, STRIDE, FIRST_LENGTH, GRAPH_HEAD };

@@ -1,0 +1,1 @@
+"""Clusters of particles with distance constraints: their graphs, their geodesics, and the kernels that follow these."""

@@ -1,0 +1,1 @@
+"""The integrators, what they share with OpenMM's, and their access to bodies."""

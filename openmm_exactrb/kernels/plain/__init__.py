@@ -1,1 +1,0 @@
-"""The kernels that are written in numpy."""

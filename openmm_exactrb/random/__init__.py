@@ -1,0 +1,1 @@
+"""Counter-based random numbers, in NumPy and in the kernels."""
