@@ -2,7 +2,7 @@
 
 from openmm_exactrb import ensemble
 from openmm_exactrb.averages import AverageReporter, corrected, pressure_offset
-from openmm_exactrb.errors import IntegrationError, NonFiniteError
+from openmm_exactrb.errors import IntegrationError, NonFiniteError, NotConvergedWarning, ShapeWarning, StepSizeWarning
 from openmm_exactrb.integrators.hybrid import ExactRigidBodyHybridIntegrator
 from openmm_exactrb.integrators.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.integrators.langevin import ExactRigidBodyLangevinIntegrator
@@ -10,14 +10,12 @@ from openmm_exactrb.integrators.momenta import CanonicalMomenta
 from openmm_exactrb.integrators.nose_hoover import ExactRigidBodyNoseHooverIntegrator
 from openmm_exactrb.integrators.rescaling import ExactRigidBodyRescalingIntegrator
 from openmm_exactrb.integrators.states import loadState
-from openmm_exactrb.mechanics.divergence import StepSizeWarning
-from openmm_exactrb.mechanics.fit import ShapeWarning
 from openmm_exactrb.multiple_time_steps.bonded import separate_bonded
 from openmm_exactrb.potentials import Ewald, Open, ReactionField, dipole_strength, soft_dipole_force
 from openmm_exactrb.potentials.dielectric import dielectric_constant
 from openmm_exactrb.replacement import replace_integrators
 from openmm_exactrb.reporters import EnergyReporter, MomentReporter
-from openmm_exactrb.rotors import ROTORS, NotConvergedWarning, free_rotor
+from openmm_exactrb.rotors import ROTORS, free_rotor
 from openmm_exactrb.runs import Run
 from openmm_exactrb.schemes import CATALOGUE as SCHEMES
 from openmm_exactrb.support.files import written_whole

@@ -18,7 +18,8 @@ import numpy as np
 from benchmarks.paper import common, compiled
 from benchmarks.paper.claims import Claim, Criterion
 from benchmarks.paper.reference import taylor
-from openmm_exactrb.rotors import NotConvergedWarning, rotor
+from openmm_exactrb.errors import NotConvergedWarning
+from openmm_exactrb.rotors import rotor
 
 NAME = "figure01"
 TITLE = "Figure 1: precision and relative cost over the step size"

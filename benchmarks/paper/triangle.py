@@ -18,7 +18,8 @@ from scipy.ndimage import gaussian_filter
 from benchmarks.paper import common
 from benchmarks.paper.claims import Claim, Criterion
 from benchmarks.paper.reference import taylor
-from openmm_exactrb.rotors import NotConvergedWarning, rotor
+from openmm_exactrb.errors import NotConvergedWarning
+from openmm_exactrb.rotors import rotor
 
 NAME = "triangle"
 TITLE = "Figures 3 to 11: digits over the triangle of inertias"

@@ -14,9 +14,9 @@ from openmm import app
 
 from openmm_exactrb.command.inputs import Box, begin_at
 from openmm_exactrb.context.solver import mended
+from openmm_exactrb.errors import ShapeWarning, UnreachableError
 from openmm_exactrb.integrators.langevin import ExactRigidBodyLangevinIntegrator
 from openmm_exactrb.integrators.states import read_xml
-from openmm_exactrb.mechanics.fit import ShapeWarning
 from openmm_exactrb.openmm_access.platforms import mixed, why_not_by_default
 from openmm_exactrb.runs import Run
 from openmm_exactrb.runs.signals import LostInterrupts
@@ -25,7 +25,6 @@ from openmm_exactrb.support.files import written_whole
 from openmm_exactrb.support.warn import warn
 from openmm_exactrb.tuning.advice import CANDIDATES, progress, tune
 from openmm_exactrb.tuning.preparation import heat, minimise
-from openmm_exactrb.tuning.result import UnreachableError
 
 #: Files in the folder of a run that contain the initial State, and the tuned scheme and step.
 START, STEP = "start.xml", "step.json"

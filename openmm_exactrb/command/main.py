@@ -15,7 +15,7 @@ import openmm_exactrb
 from openmm_exactrb.command import exec as exec_
 from openmm_exactrb.command import info, run, tune
 from openmm_exactrb.command.arguments import Parser
-from openmm_exactrb.tuning.budget import BudgetSpentError
+from openmm_exactrb.errors import BudgetSpentError
 
 # Exceptions caused by a user's files and options.
 _ERRORS = (ValueError, ArithmeticError, OSError, ModuleNotFoundError, BudgetSpentError, openmm.OpenMMException)

@@ -10,6 +10,7 @@ import openmm
 
 from openmm_exactrb.context.dipole_boxes import DipoleBoxes
 from openmm_exactrb.context.synchronisation import Synchronisation
+from openmm_exactrb.errors import RemovedMotionWarning
 from openmm_exactrb.mathematics.compensated import add
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.state import State
@@ -29,10 +30,6 @@ BAROSTATS = (
 _THERMOSTAT, _REMOVER = "AndersenThermostat", "CMMotionRemover"
 #: Forces that change positions or velocities between steps, and therefore the energy.
 UPDATES = (_THERMOSTAT, _REMOVER, *BAROSTATS)
-
-
-class RemovedMotionWarning(UserWarning):
-    """The removal of momentum transferred by frozen particles causes energy errors of first order in the step size."""
 
 
 class ContextUpdates:

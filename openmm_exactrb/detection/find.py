@@ -18,8 +18,8 @@ from openmm_exactrb.detection.shapes import (
     on_constraints,
 )
 from openmm_exactrb.detection.whole import whole_positions
+from openmm_exactrb.errors import ShapeWarning
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
-from openmm_exactrb.mechanics.fit import ShapeWarning
 from openmm_exactrb.openmm_access import arrays, parameters
 from openmm_exactrb.openmm_access.parameters import Rows
 from openmm_exactrb.support import checks

@@ -13,7 +13,8 @@ import numpy as np
 import openmm
 from numpy.typing import NDArray
 
-from openmm_exactrb.mechanics.fit import RIGIDITY, ShapeWarning, congruent
+from openmm_exactrb.errors import ShapeWarning
+from openmm_exactrb.mechanics.fit import RIGIDITY, congruent
 from openmm_exactrb.mechanics.images import (
     Decided,
     braced,

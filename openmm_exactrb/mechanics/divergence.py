@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from openmm_exactrb.errors import IntegrationError, NonFiniteError
+from openmm_exactrb.errors import IntegrationError, NonFiniteError, StepSizeWarning
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.images import closest_pair
 from openmm_exactrb.mechanics.state import BodyState, State
@@ -42,10 +42,6 @@ ADVICE = (
 _SAMPLES, _LEFT_OUT = 100, 20
 # A warning requires a mean that is too high by this fraction plus this number of standard errors.
 _TOO_HOT, _ERRORS = 0.05, 4.0
-
-
-class StepSizeWarning(UserWarning):
-    """A step is too long for correct averages: it is near a resonance, or the temperature stays too high."""
 
 
 class DivergenceCheck:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from openmm_exactrb.constraints.clusters import ClusterKind, ClusterState
+from openmm_exactrb.errors import ShapeWarning
 from openmm_exactrb.mathematics.compensated import exactly
 from openmm_exactrb.mathematics.quaternions import from_matrix, matrix, turned
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
@@ -35,10 +36,6 @@ _SUSPECTS = 8
 _NEWTON = 8
 # If the error of a length after these steps exceeds this distance, in nm, the constraints cannot be satisfied.
 _REACHED = 1e-9
-
-
-class ShapeWarning(UserWarning):
-    """Positions deviated slightly from the shapes of bodies and were corrected, or a shape is ambiguous."""
 
 
 def fit(bodies: RigidBodies, x: Array, v: Array) -> BodyState:

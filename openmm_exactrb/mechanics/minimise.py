@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from openmm_exactrb.errors import NonFiniteError
+from openmm_exactrb.errors import MinimisationWarning, NonFiniteError
 from openmm_exactrb.mathematics.quaternions import exponential, multiply
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.images import closest_pair
@@ -24,10 +24,6 @@ _GAINED = 1e-7
 
 #: landscape(state) -> potential energy, forces (3, N), body-frame torques (3, K).
 Landscape = Callable[[BodyState], tuple[float, Array, Array]]
-
-
-class MinimisationWarning(UserWarning):
-    """A minimisation ended with forces above its tolerance."""
 
 
 @dataclass

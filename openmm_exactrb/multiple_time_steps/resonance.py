@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import openmm
 
-from openmm_exactrb.mechanics.divergence import StepSizeWarning
+from openmm_exactrb.errors import StepSizeWarning
 from openmm_exactrb.multiple_time_steps.bonded import Bonded
 from openmm_exactrb.multiple_time_steps.stiffness import LIBRATION, frequencies
 from openmm_exactrb.openmm_access import parameters

@@ -1,8 +1,8 @@
 """Flows of the free rigid body with a common interface."""
 
+from openmm_exactrb.errors import NotConvergedWarning
 from openmm_exactrb.rotors.flow import Flow
 from openmm_exactrb.rotors.front import free_rotor
-from openmm_exactrb.rotors.moser_veselov import NotConvergedWarning
 from openmm_exactrb.rotors.registry import (
     LARGEST_MOMENT,
     ROTORS,

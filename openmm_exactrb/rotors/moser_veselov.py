@@ -21,6 +21,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from openmm_exactrb.errors import NotConvergedWarning
 from openmm_exactrb.mathematics.compensated import keep_norm
 from openmm_exactrb.mathematics.quaternions import multiply, renormalise
 from openmm_exactrb.rotors.flow import Flow
@@ -32,10 +33,6 @@ MOST_ITERATIONS = 200
 # The iteration ends when its last change is below this fraction of the momentum.
 _CONVERGED = 1e-15
 _QUARTER_TURN = 0.5 * np.pi
-
-
-class NotConvergedWarning(RuntimeWarning):
-    """The iteration of the discrete Moser-Veselov algorithm failed for some bodies, whose results are nan."""
 
 
 def rotor(order: int) -> Callable[[Array], Flow]:

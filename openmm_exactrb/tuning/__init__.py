@@ -6,9 +6,10 @@ their energy errors, and `measurements` stores these errors. `search` decides wh
 `result` contains the answer, as an object and as text.
 """
 
+from openmm_exactrb.errors import UnreachableError
 from openmm_exactrb.tuning.advice import tune
 from openmm_exactrb.tuning.benchmark import CANDIDATES
 from openmm_exactrb.tuning.measurements import Point
-from openmm_exactrb.tuning.result import Choice, Tuning, UnreachableError
+from openmm_exactrb.tuning.result import Choice, Tuning
 
 __all__ = ["CANDIDATES", "Choice", "Point", "Tuning", "UnreachableError", "tune"]

@@ -11,7 +11,7 @@ from typing import Any
 import openmm
 from openmm import app, unit
 
-from openmm_exactrb.mechanics.divergence import StepSizeWarning
+from openmm_exactrb.errors import StepSizeWarning
 from openmm_exactrb.openmm_access.units import stripped
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.support.checks import positive, whole

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import time
 
+from openmm_exactrb.errors import BudgetSpentError
+
 # Fraction of the budget reserved for the last samples of a run and for the result.
 _KEPT = 0.03
-
-
-class BudgetSpentError(RuntimeError):
-    """Raised if the budget does not allow the next run."""
 
 
 class Budget:

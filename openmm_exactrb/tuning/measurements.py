@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from openmm_exactrb.errors import BudgetSpentError
 from openmm_exactrb.tuning.benchmark import STARTS, VERLET, Benchmark, Energies, Method
-from openmm_exactrb.tuning.budget import BudgetSpentError
 from openmm_exactrb.tuning.error import expected_error
 
 Report = Callable[[str], None]

@@ -14,11 +14,10 @@ from typing import NamedTuple
 import numpy as np
 import openmm
 
-from openmm_exactrb.errors import IntegrationError, MinimisationError, NonFiniteError
+from openmm_exactrb.errors import IntegrationError, MinimisationError, MinimisationWarning, NonFiniteError
 from openmm_exactrb.integrators.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.integrators.langevin import ExactRigidBodyLangevinIntegrator
 from openmm_exactrb.mechanics.bodies import RigidBodies
-from openmm_exactrb.mechanics.minimise import MinimisationWarning
 
 # Extent in nm that is assigned to particles without a shape.
 _EXTENT = 0.1

@@ -10,15 +10,12 @@ from typing import Any
 
 import openmm
 
+from openmm_exactrb.errors import UnreachableError
 from openmm_exactrb.integrators.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.schemes import CATALOGUE, Scheme
 from openmm_exactrb.support.checks import positive
 from openmm_exactrb.tuning.benchmark import NESTED, VERLET, Method
 from openmm_exactrb.tuning.measurements import Point, cost_at, stable_curve, step_at
-
-
-class UnreachableError(ValueError):
-    """Raised if no measured setting reaches the target."""
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
+from openmm_exactrb.errors import BudgetSpentError
 from openmm_exactrb.schemes import CATALOGUE
 from openmm_exactrb.tuning.benchmark import VERLET, Method
-from openmm_exactrb.tuning.budget import BudgetSpentError
 from openmm_exactrb.tuning.error import expected_error
 from openmm_exactrb.tuning.measurements import Measurements, Point, cost_at, step_at
 

@@ -7,7 +7,7 @@ from openmm import app
 
 import openmm_exactrb as rb
 import small_molecules
-from openmm_exactrb.mechanics.minimise import MinimisationWarning
+from openmm_exactrb.errors import MinimisationWarning
 from starts import context_of, positions_of, simulation_of
 
 

@@ -7,7 +7,7 @@ import openmm
 import pytest
 
 import openmm_exactrb as rb
-from openmm_exactrb.context.updates import RemovedMotionWarning
+from openmm_exactrb.errors import RemovedMotionWarning
 from places import REFERENCE
 
 

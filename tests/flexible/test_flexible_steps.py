@@ -11,7 +11,8 @@ import openmm_exactrb as rb
 from bonded_terms import tether
 from both_engines import apart, nested, pair, twice_from
 from openmm_exactrb.engines.native.flexible import blocks
-from openmm_exactrb.engines.native.flexible.molecules import NotServedError, require_few_terms
+from openmm_exactrb.engines.native.flexible.molecules import require_few_terms
+from openmm_exactrb.errors import NotServedError
 from peptides import in_water, peptide, violations
 from places import device_platform
 from starts import held

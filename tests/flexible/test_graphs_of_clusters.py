@@ -8,7 +8,8 @@ from openmm_exactrb.constraints import tables as constraints
 from openmm_exactrb.constraints.tables import Group
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.engines.native.flexible.blocks import blocks_of
-from openmm_exactrb.engines.native.flexible.molecules import LARGEST, NotServedError, require_small_clusters
+from openmm_exactrb.engines.native.flexible.molecules import LARGEST, require_small_clusters
+from openmm_exactrb.errors import NotServedError
 from peptides import violations
 from starts import held
 

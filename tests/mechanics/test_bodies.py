@@ -6,8 +6,9 @@ import pytest
 from openmm import unit
 
 from openmm_exactrb.detection.find import find_bodies
+from openmm_exactrb.errors import ShapeWarning
 from openmm_exactrb.mathematics import quaternions
-from openmm_exactrb.mechanics.fit import REFUSED, RIGIDITY, ShapeWarning, fit
+from openmm_exactrb.mechanics.fit import REFUSED, RIGIDITY, fit
 from openmm_exactrb.mechanics.state import BodyState
 
 

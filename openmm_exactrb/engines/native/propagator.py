@@ -21,7 +21,7 @@ from openmm_exactrb.engines.native.exchange import around_exchange, at_exchange
 from openmm_exactrb.engines.native.flexible.molecules import served
 from openmm_exactrb.engines.native.flexible.part import Flexible
 from openmm_exactrb.engines.native.reports import (
-    DivergedError,
+    at_next_step,
     judged,
     kinetic_by_kind,
     monitor,
@@ -29,7 +29,7 @@ from openmm_exactrb.engines.native.reports import (
     warn_of_resonances,
 )
 from openmm_exactrb.engines.native.state import NativeState
-from openmm_exactrb.errors import IntegrationError, NonFiniteError
+from openmm_exactrb.errors import DivergedError, IntegrationError, NonFiniteError
 from openmm_exactrb.library.library import Machine, library
 from openmm_exactrb.mechanics.divergence import GROWN, HOTTEST, gained, non_finite
 from openmm_exactrb.mechanics.state import State
@@ -259,7 +259,7 @@ class NativePropagator:
             self._restore()
             self._show_valid(found)
             if n == 1:
-                raise found.at_next_step(self.sync) from None
+                raise at_next_step(found, self.sync) from None
             since = self._energies()
             self.machine.keep(_LAST_SHOWN)
             for k in range(n):
@@ -316,7 +316,7 @@ class NativePropagator:
         self.machine.restore(_LAST_SHOWN)
         self._shown = True
         self.sync.moved_on()
-        raise found.at_next_step(self.sync) from None
+        raise at_next_step(found, self.sync) from None
 
     def _step(self, n: int, shows: bool) -> tuple[float, bool]:
         """Perform n steps, and return a report; the Context `shows` the result, as it does without a processor."""

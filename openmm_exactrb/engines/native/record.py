@@ -11,9 +11,9 @@ import openmm
 from openmm_exactrb.context import variables
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.engines.engine import Engine, Propagator, Settings
-from openmm_exactrb.engines.native.flexible.molecules import NotServedError, served
+from openmm_exactrb.engines.native.flexible.molecules import served
 from openmm_exactrb.engines.native.propagator import NativePropagator
-from openmm_exactrb.errors import MissingLibraryError
+from openmm_exactrb.errors import MissingLibraryError, NotServedError
 from openmm_exactrb.library.library import TYPE, Machine, describe, library
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.openmm_access import platforms

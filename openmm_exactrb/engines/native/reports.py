@@ -12,7 +12,7 @@ from openmm_exactrb.context.updates import ContextUpdates
 from openmm_exactrb.engines.engine import Settings
 from openmm_exactrb.engines.native.flexible.part import FlexiblePart
 from openmm_exactrb.engines.native.rigid import RigidPart
-from openmm_exactrb.errors import IntegrationError
+from openmm_exactrb.errors import DivergedError, IntegrationError
 from openmm_exactrb.library.library import Machine
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.divergence import Overheating, of_step
@@ -24,18 +24,11 @@ from openmm_exactrb.support.types import Array
 Parts = Sequence[RigidPart | FlexiblePart]
 
 
-class DivergedError(Exception):
-    """Steps have diverged: the kind of the error, and its description without the step."""
-
-    def __init__(self, kind: type[IntegrationError], what: str) -> None:
-        super().__init__(what)
-        self.kind, self.what = kind, what
-
-    def at_next_step(self, sync: Synchronisation) -> IntegrationError:
-        """Return the error for the next step, which diverges; the Context contains the state before it."""
-        sync.pull()
-        number, time = sync.context.getStepCount() + 1, sync.context.getTime()._value
-        return self.kind(of_step(number, time, self.what, sync.state, sync.box()))
+def at_next_step(error: DivergedError, sync: Synchronisation) -> IntegrationError:
+    """Return the error for the next step, which diverges; the Context contains the state before it."""
+    sync.pull()
+    number, time = sync.context.getStepCount() + 1, sync.context.getTime()._value
+    return error.kind(of_step(number, time, error.what, sync.state, sync.box()))
 
 
 def judged(translation: float, rotation: float, invalid: float) -> tuple[float, bool]:

@@ -13,6 +13,7 @@ from openmm_exactrb.constraints.tables import Group
 from openmm_exactrb.engines.native.flexible.evaluated import Evaluated
 from openmm_exactrb.engines.native.flexible.expressions import Custom
 from openmm_exactrb.engines.native.flexible.inner import InnerSteps
+from openmm_exactrb.errors import NotServedError
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.multiple_time_steps.bonded import BONDED_FORCES, Bonded, acting, groups_of
 from openmm_exactrb.multiple_time_steps.excerpt import Excerpt, bonded_excerpt
@@ -27,10 +28,6 @@ LARGEST = 32
 #: The largest number of bonded terms of a particle on a GPU, where a block stores the other particles of these terms in
 #: local memory.
 MOST_TERMS = 400
-
-
-class NotServedError(Exception):
-    """Raised if the kernels do not support some molecules or forces; the message names these and states the remedy."""
 
 
 @dataclass(frozen=True)
