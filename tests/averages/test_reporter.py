@@ -1,8 +1,8 @@
-"""What an AverageReporter refuses, and how it continues a file."""
+"""How an AverageReporter continues a file, and what it notices in a run."""
 
 import openmm
 import pytest
-from openmm import app, unit
+from openmm import app
 
 import openmm_exactrb as rb
 from openmm_exactrb.averages.record import read
@@ -100,64 +100,6 @@ def saved(simulation, folder):
     file = str(folder / "state.xml")
     simulation.saveState(file)
     return file
-
-
-@pytest.mark.parametrize(
-    "name", ["volume", "potential", "potential energy", "density", "pressure slope", "frame", "a,b", "d (D)", " a", ""]
-)
-def test_names_of_columns_are_not_those_of_observables(name, tmp_path):
-    with pytest.raises(ValueError, match="an observable cannot have the name"):
-        rb.AverageReporter(tmp_path / "frames.csv", 2, observables={name: first})
-
-
-def test_names_of_observables_are_not_those_of_slopes(tmp_path):
-    with pytest.raises(ValueError, match="an observable cannot have the name 'volume'"):
-        rb.AverageReporter(tmp_path / "frames.csv", 2, observables={"a": first, "volume": first})
-    with pytest.raises(ValueError, match="an observable cannot have the name 'a'"):
-        rb.AverageReporter(tmp_path / "frames.csv", 2, observables={"a": first, "a slope": first})
-
-
-@pytest.mark.parametrize(
-    ("options", "sentence"),
-    [
-        ({"observables": [first]}, "observables must be a mapping from names to functions of the positions, not"),
-        ({"observables": {"a": 1.0}}, "not a mapping that contains 'a': 1.0"),
-        ({"observables": {1: first}}, "not a mapping that contains 1: "),
-        ({"append": "no"}, "append must be True or False"),
-        ({"around": 5}, r"around= must be a tuple of particle indices and a distance in nm, .*, not 5"),
-        (
-            {"around": ([0], 1, 2)},
-            r"around= must be a tuple of particle indices and a distance in nm, such as \(\[0, 1, 2\], 0\.5\), not",
-        ),
-        (
-            {"around": ([], 0.5)},
-            r"the particles of around= must be a list of particle indices, such as \[0, 1, 2\], not",
-        ),
-        (
-            {"around": ([-1], 0.5)},
-            r"the particles of around= must be a list of particle indices, such as \[0, 1, 2\], not",
-        ),
-        (
-            {"around": ([0.5], 0.5)},
-            r"the particles of around= must be a list of particle indices, such as \[0, 1, 2\], not",
-        ),
-        ({"around": ([0], -1.0)}, "the distance of around= must be a positive number"),
-    ],
-)
-def test_bad_arguments_get_a_sentence(options, sentence, tmp_path):
-    with pytest.raises(ValueError, match=sentence):
-        rb.AverageReporter(tmp_path / "frames.csv", 2, **options)
-
-
-def test_a_particle_that_the_system_has_not_is_named(tmp_path):
-    with pytest.raises(ValueError, match="the particles of around= must be numbers from 0 to 2, not 3"):
-        reported(simulation_of(ours()), tmp_path / "frames.csv", 2, around=([3], 0.5))
-
-
-@pytest.mark.parametrize("value", [float("nan"), None, [1.0], "1", 1.0 * unit.nanometer])
-def test_an_observable_without_a_number_is_named(value, tmp_path):
-    with pytest.raises(ValueError, match="the observable 'mine' must be a finite number, not"):
-        reported(simulation_of(ours()), tmp_path / "frames.csv", 2, observables={"mine": lambda x: value})
 
 
 def test_an_observable_may_change_the_array_it_gets(tmp_path):

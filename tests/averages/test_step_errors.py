@@ -10,11 +10,9 @@ from scipy import linalg
 import openmm_exactrb as rb
 from averages.stationary import Quartic, Rotor
 from openmm_exactrb.schemes import scheme_for_thermostat
-from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.stability import oscillated
 from openmm_exactrb.schemes.step_errors import _around_exchange, step_errors
 from openmm_exactrb.schemes.thermostatted import with_thermostat
-from openmm_exactrb.steps.sequence import spelled
 from thermostatted import ending_at_kicks
 
 ROTOR = "rotor in a field"
@@ -159,18 +157,3 @@ def test_where_a_barostat_acts_errors_are_those_of_steps_that_end_there():
     for name in ("BAOA", "BAOAB", "ABOBA", "S2_2"):
         order = step_errors(steps_of(name)[0])
         assert order.barostat_slope == order.slope
-
-
-@pytest.mark.parametrize(
-    "scheme",
-    [
-        Scheme("two exchanges", 2, spelled("B A O A B O")),
-        Scheme("lopsided", 2, spelled("B O A")),
-        Scheme("by groups", 2, spelled("B1 A O A B1")),
-        with_thermostat(rb.SCHEMES["W2_1"]),
-    ],
-    ids=lambda scheme: scheme.name,
-)
-def test_the_theory_refuses_other_steps(scheme):
-    with pytest.raises(ValueError, match="cannot be corrected, because the theory needs a single heat exchange"):
-        step_errors(scheme)

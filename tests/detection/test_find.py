@@ -1,7 +1,6 @@
 """Which particles of a System are a rigid body, and what cannot be one."""
 
 import numpy as np
-import openmm
 import pytest
 
 import openmm_exactrb as rb
@@ -14,12 +13,6 @@ def test_a_cluster_that_is_not_rigid_is_one_of_single_particles():
     bodies = find_bodies(system, np.random.default_rng(1).random((4, 3)))
     assert (len(bodies), bodies.n_turning, len(bodies.clusters)) == (4, 0, 1)
     assert bodies.translational_freedom == 12 - 3
-
-
-def test_impossible_distances_are_refused():
-    system = system_of(3 * [1.0], [(0, 1, 0.1), (1, 2, 0.1), (0, 2, 0.3)])
-    with pytest.raises(ValueError, match="cannot be satisfied in three dimensions"):
-        find_bodies(system, np.zeros((3, 3)))
 
 
 def test_particles_alone_are_bodies_that_do_not_turn():
@@ -40,36 +33,6 @@ def rings(n=4):
     angle = np.pi / 3 * (particle % 6)
     x = np.column_stack([0.14 * np.cos(angle), 0.14 * np.sin(angle), 0.42 * (particle // 6)])
     return system_of(6 * n * [13.0]), x
-
-
-@pytest.mark.parametrize(
-    ("bodies", "message"),
-    [
-        ([[0, 1, 99]], "the particles of body 0 must be numbers from 0 to 23, not 99"),
-        ([[0, 1, 2], [2, 3]], "particle 2 is named twice, in bodies 0 and 1"),
-        ([[]], "no particle with mass"),
-    ],
-)
-def test_wrong_bodies_are_refused(bodies, message):
-    system, x = rings()
-    with pytest.raises(ValueError, match=message):
-        find_bodies(system, x, bodies)
-
-
-def test_a_constraint_that_leads_out_of_a_body_is_refused_by_name():
-    system, x = rings()
-    system.addConstraint(5, 6, 0.5)
-    with pytest.raises(ValueError, match="constraint between particles 5 and 6 joins a body given in bodies= to"):
-        find_bodies(system, x, [range(6)])
-
-
-def test_drude_particles_are_refused_by_name():
-    _, system, positions = rb.rigid_water(2)
-    drude = openmm.DrudeForce()
-    drude.addParticle(4, 3, -1, -1, -1, -1.0, 0.001, 1.0, 1.0)
-    system.addForce(drude)
-    with pytest.raises(ValueError, match=r"Drude particles \(4"):
-        find_bodies(system, positions._value)
 
 
 OCTAHEDRON = 0.2 / np.sqrt(2.0) * np.concatenate([np.eye(3), -np.eye(3)])

@@ -175,15 +175,6 @@ def test_rounded_redundant_constraints_are_met_as_well_as_can_be():
     assert 1e-9 < abs(missed) < 0.9e-7
 
 
-def test_redundant_constraints_that_disagree_are_named():
-    system = system_of(MASSES, BENDING, PAIRS, longer={(0, 1): 1e-3})
-    with pytest.raises(
-        ValueError,
-        match=r"constraint of 0\.115306 nm between particles 3 and 4 contradicts the other constraints of .* by",
-    ):
-        find_bodies(system, BENDING)
-
-
 def test_another_shape_with_the_same_other_distances_is_refused():
     """The last of the five mirrored at three of them: nine distances are the same, the tenth is not."""
     integrator = rb.ExactRigidBodyIntegrator(0.002)

@@ -270,28 +270,6 @@ def test_a_body_that_looks_split_is_taken_as_it_is_given_with_a_warning():
     np.testing.assert_array_equal(bodies.inertia, find_bodies(system_of(6, CUBE), x, [range(6)]).inertia)
 
 
-def test_a_body_without_bonds_is_refused_where_other_molecules_are_split():
-    x = np.concatenate([wrapped(rings_of_six([[3.0, 1.0, 1.0]]), CUBE), [[0.05, 2.0, 2.0], [2.95, 2.0, 2.0]]])
-    with pytest.raises(
-        ValueError,
-        match=r"body 0 is ambiguous, because the gap of 2\.72 nm between its particles may be 0\.14 nm across",
-    ):
-        find_bodies(system_of(8, CUBE, [(6, 7, 0.1)]), x, [range(6)], CUBE)
-
-
-def test_a_split_body_whose_parts_nothing_joins_is_refused():
-    x = wrapped(rings_of_six([[3.0, 1.0, 1.0]]), CUBE)
-    bonds = [(0, 1, 0.14), (1, 2, 0.14), (3, 4, 0.14), (4, 5, 0.14)]
-    with pytest.raises(ValueError, match="split body 0, and neither bonds nor constraints join its particles 0 and 3"):
-        find_bodies(system_of(6, CUBE, bonds=bonds), x, [range(6)], CUBE)
-
-
-def test_a_bond_of_neither_length_across_half_the_box_is_refused():
-    x = np.array([[0.2, 0.0, 0.0], [1.8, 0.0, 0.0]])
-    with pytest.raises(ValueError, match=r"0 and 1 of body 0 are 1\.6 nm apart as given, or 1\.4 nm across"):
-        find_bodies(system_of(2, CUBE, bonds=[(0, 1, 0.1)]), x, [range(2)], CUBE)
-
-
 def test_two_parts_of_a_body_may_be_joined_by_a_chain_that_is_not_of_it():
     x = np.array([[2.6 + 0.15 * k, 1.0, 1.0 + 0.03 * (k % 2)] for k in range(6)])
     system = system_of(6, CUBE, bonds=lengths(x, [(k, k + 1) for k in range(5)]))
