@@ -6,7 +6,7 @@ BIN := $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
 LOWEST ?= .venv-lowest
 ARGS ?=
 
-.PHONY: run test cuda-check lowest lint docs browse linkcheck validate benchmarks paper dist clean
+.PHONY: run test cuda-check library-check lowest lint docs browse linkcheck validate benchmarks paper dist clean
 
 run: $(VENV)/.run
 	$(BIN)/python examples/dipole_fluid.py --compare --overwrite $(ARGS)
@@ -18,6 +18,11 @@ test: $(VENV)/.test
 cuda-check: $(VENV)/.test
 	$(BIN)/python -m pip install --quiet --editable ".[cuda-check]"
 	$(BIN)/python -m pytest -n auto tests/engines/test_cuda.py $(ARGS)
+
+# Compiles the library with sanitizers, and by clang, and runs it.
+library-check: $(VENV)/.test
+	$(BIN)/python -m pytest --validate tests/engines/test_sanitized.py \
+		tests/engines/test_installations.py::test_clang_compiles_the_library $(ARGS)
 
 lowest: $(LOWEST)/.test
 	$(LOWEST)/bin/python -m pytest -n auto -W ignore::DeprecationWarning $(ARGS)

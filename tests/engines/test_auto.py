@@ -13,6 +13,7 @@ from pages import ROOT, pieces
 
 import openmm_exactrb as rb
 import peptides
+from products import spread_over
 from small_molecules import MOLECULES, placed, system_of
 from starts import context_of, positions_of
 from zoo import every_kind
@@ -90,8 +91,7 @@ ROWS = {
 }
 
 
-@pytest.mark.parametrize("platform", ["Reference", "CPU"])
-@pytest.mark.parametrize("row", ROWS)
+@spread_over({"row": ROWS, "platform": ["Reference", "CPU"]})
 def test_auto_takes_the_kernels(row, platform):
     start, make = ROWS[row]
     system, positions, options = start()

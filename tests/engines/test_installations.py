@@ -206,6 +206,7 @@ def test_a_cache_that_cannot_be_made_is_named(machine):
     assert_in_python(*machine.run(), f"set the environment variable {library.CACHE} to another folder")
 
 
+@pytest.mark.validate  # and by `make library-check`
 def test_clang_compiles_the_library(machine):
     names = ("clang++", *(f"clang++-{version}" for version in range(25, 12, -1)))
     clang = next(filter(None, map(shutil.which, names)), None) or pytest.skip("needs clang++")

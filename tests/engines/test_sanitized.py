@@ -1,4 +1,7 @@
-"""The library, compiled with sanitizers: no kernel reads or writes beyond an array, or divides an integer by zero."""
+"""The library, compiled with sanitizers: no kernel reads or writes beyond an array, or divides an integer by zero.
+
+`make library-check` runs this test.
+"""
 
 import os
 import subprocess
@@ -31,6 +34,7 @@ def preloaded():
     return paths if all(map(os.path.isabs, paths)) else pytest.skip("needs g++ with its sanitizers")
 
 
+@pytest.mark.validate
 @pytest.mark.skipif(sys.platform != "linux", reason="the sanitizer is loaded first on Linux alone")
 def test_no_kernel_leaves_its_arrays(tmp_path):
     first, path = ":".join(preloaded()), tmp_path / "library.so"
