@@ -11,6 +11,7 @@ from openmm import app
 import openmm_exactrb as rb
 from chains import nose_hoover
 from peptides import in_box
+from places import HOST_AND_NATIVE
 from starts import context_of, positions_of
 from thermostatted import (
     KT,
@@ -78,7 +79,7 @@ def test_an_ideal_gas_has_the_volume_of_its_law():
     assert (np.abs(blocks.mean(axis=0) - 300.0) < 4.0 * blocks.std(axis=0, ddof=1) / np.sqrt(10)).all()
 
 
-@pytest.mark.parametrize("engine", ["host", pytest.param("native", marks=pytest.mark.opencl)])
+@pytest.mark.parametrize("engine", HOST_AND_NATIVE)
 @pytest.mark.parametrize("flexible", [False, True])
 def test_a_barostat_acts_where_the_next_kick_does(flexible, engine):
     """W2_3m ends its steps before: its boxes are those of the same steps from kick to kick, and bodies come back."""

@@ -10,7 +10,7 @@ from openmm import unit
 import openmm_exactrb as rb
 from openmm_exactrb.context.updates import acting_updates, names_of_updates
 from openmm_exactrb.thermostats import HybridMonteCarlo, Langevin
-from places import platform_for
+from places import HOST_AND_NATIVE, platform_for
 from products import in_pairs, spread_over
 
 BAR, KELVIN = unit.bar, unit.kelvin
@@ -32,8 +32,7 @@ WITHOUT_AXES = {
         openmm.Vec3(1, 1, 1) * BAR, 280 * KELVIN, False, False, False, n or 2
     )
 }
-ENGINES = ["host", pytest.param("native", marks=pytest.mark.opencl)]
-BOTH = pytest.mark.parametrize("engine", ENGINES)
+BOTH = pytest.mark.parametrize("engine", HOST_AND_NATIVE)
 COLLISIONS = openmm.AndersenThermostat.CollisionFrequency()
 
 
@@ -101,7 +100,7 @@ def switched_off_by(way):
 WAYS = "constructor", "setter before", "setter in the System", "reinitialize"
 
 
-@spread_over({"name": BAROSTATS | WITHOUT_AXES, "way": WAYS, "engine": ENGINES}, times=2)
+@spread_over({"name": BAROSTATS | WITHOUT_AXES, "way": WAYS, "engine": HOST_AND_NATIVE}, times=2)
 def test_a_barostat_that_never_acts_may_have_any_temperature(name, way, engine):
     made, later = switched_off_by(way)
     found = []
@@ -121,7 +120,7 @@ def test_a_barostat_that_never_acts_may_have_any_temperature(name, way, engine):
     {
         "make": ["Langevin", "rescaling", "chain", "argument"],
         "way": ["constructor", "default", "parameter"],
-        "engine": ENGINES,
+        "engine": HOST_AND_NATIVE,
     },
     times=2,
 )
@@ -148,7 +147,7 @@ def test_a_thermostat_without_collisions_is_no_second_thermostat(make, way, engi
     np.testing.assert_allclose(found[0], found[1], rtol=0.0, atol=0.0 if engine == "host" else 1e-12)
 
 
-@spread_over({"name": BAROSTATS, "engine": ENGINES})
+@spread_over({"name": BAROSTATS, "engine": HOST_AND_NATIVE})
 def test_a_barostat_that_never_acts_tears_no_body(name, engine):
     """Bodies that OpenMM does not take for molecules."""
     named = [[3 * k, 3 * k + 1, 3 * k + 2] for k in range(27)]
@@ -295,7 +294,11 @@ SEQUENCE = (0, 7), (5, 23), (2, 7), (9, 40), (0, 3), (40, 33), (3, 20), (0, 11),
 
 
 @in_pairs(
-    {"scheme": ["S2_2", "W2_1", "BAOA", "W2_3m"], "others": ["nothing", "remover", "thermostat"], "engine": ENGINES}
+    {
+        "scheme": ["S2_2", "W2_1", "BAOA", "W2_3m"],
+        "others": ["nothing", "remover", "thermostat"],
+        "engine": HOST_AND_NATIVE,
+    }
 )
 def test_molecules_follow_the_box_whenever_the_frequency_changes(others, scheme, engine):
     """In so short steps that only the barostat moves molecules, by the edges of the box."""

@@ -11,11 +11,11 @@ from openmm_exactrb.openmm_access.platforms import DEVICES, platforms
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
 CPU = openmm.Platform.getPlatform("CPU")
+#: Engines, each where `platform_for` has it run.
+HOST_AND_NATIVE = ["host", pytest.param("native", marks=pytest.mark.opencl)]
 #: Platforms for which there are kernels, for the fixture `platform`.
 PLATFORMS = ["Reference", "CPU", pytest.param("device", marks=pytest.mark.opencl)]
-
-
-#: The same for the fixture `where`, without threads.
+#: Places of the native engine, for the fixture `where`.
 WHERE = [pytest.param("native", marks=pytest.mark.opencl), "Reference"]
 
 

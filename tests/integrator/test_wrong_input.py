@@ -14,7 +14,7 @@ import openmm_exactrb as rb
 import starts
 import three_masses
 from few_dipoles import simulation_of, snapshot
-from places import REFERENCE, platform_for
+from places import HOST_AND_NATIVE, REFERENCE, platform_for
 
 # -- wrong input ------------------------------------------------------------------------------------------------
 
@@ -104,7 +104,7 @@ def test_positions_that_are_not_finite_are_refused():
         simulation.step(1)
 
 
-@pytest.mark.parametrize("engine", ["host", pytest.param("native", marks=pytest.mark.opencl)])
+@pytest.mark.parametrize("engine", HOST_AND_NATIVE)
 def test_a_frozen_particle_without_a_position_is_refused(engine):
     system, forces = openmm.System(), openmm.NonbondedForce()
     for mass in (16.0, 0.0, 12.0):

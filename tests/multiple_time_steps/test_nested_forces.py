@@ -18,7 +18,7 @@ from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.steps.sequence import spelled
 from orders import slope
 from peptides import FORCE_FIELD, PEPTIDE, bonded_apart, end_of, moving, peptide, positions_of
-from places import REFERENCE
+from places import HOST_AND_NATIVE, REFERENCE
 from starts import context_of, force_of, system_of
 
 
@@ -234,7 +234,7 @@ def test_a_group_that_has_a_kick_of_its_own_is_not_nested_too():
         step()
 
 
-@pytest.mark.parametrize("engine", ["host", pytest.param("native", marks=pytest.mark.opencl)])
+@pytest.mark.parametrize("engine", HOST_AND_NATIVE)
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -9,7 +9,7 @@ import pytest
 import openmm_exactrb as rb
 import starts
 from openmm_exactrb.openmm_access.molecules import in_flexible_molecules
-from places import platform_for
+from places import HOST_AND_NATIVE, platform_for
 
 FRICTION, TURNING, FLEXIBLE, H = 2.0, 3.0, 7.0, 0.01
 
@@ -59,7 +59,7 @@ def norm(m):
     return np.linalg.norm(m, axis=0)
 
 
-@pytest.mark.parametrize("engine", ["host", pytest.param("native", marks=pytest.mark.opencl)])
+@pytest.mark.parametrize("engine", HOST_AND_NATIVE)
 def test_momenta_fade_with_the_friction_of_their_molecule(engine):
     """Without noise, at 0 K; what is free turns with an angular momentum of the same norm."""
     context = started(engine)
@@ -72,7 +72,7 @@ def test_momenta_fade_with_the_friction_of_their_molecule(engine):
     np.testing.assert_allclose(norm(m1), norm(m) * np.exp(-rates * 4 * H), rtol=1e-12)
 
 
-@pytest.mark.parametrize("engine", ["host", pytest.param("native", marks=pytest.mark.opencl)])
+@pytest.mark.parametrize("engine", HOST_AND_NATIVE)
 def test_it_can_be_changed_and_taken_back(engine):
     context = started(engine, None)
     integrator = context.getIntegrator()
@@ -85,7 +85,7 @@ def test_it_can_be_changed_and_taken_back(engine):
         np.testing.assert_allclose(P1, P * np.exp(-np.where(flexible, expected, FRICTION) * H), rtol=1e-12)
 
 
-@pytest.mark.parametrize("engine", ["host", pytest.param("native", marks=pytest.mark.opencl)])
+@pytest.mark.parametrize("engine", HOST_AND_NATIVE)
 def test_a_checkpoint_of_a_run_with_one_friction_is_continued_with_two(engine):
     one = started(engine, None)
     one.getIntegrator().step(1)
@@ -105,7 +105,7 @@ def test_the_same_friction_given_twice_has_the_bits_of_one():
     np.testing.assert_array_equal(*(momenta(context)[2] for context in runs))
 
 
-@pytest.mark.parametrize("engine", ["host", pytest.param("native", marks=pytest.mark.opencl)])
+@pytest.mark.parametrize("engine", HOST_AND_NATIVE)
 def test_the_temperature_is_that_of_the_thermostat_in_both(engine):
     """Momenta drawn anew in each step, with hardly a friction or a huge one."""
     context = started(engine, 1e6, kelvin=300.0)

@@ -10,7 +10,7 @@ from scipy import stats
 
 import openmm_exactrb as rb
 from peptides import R, moving, peptide, positions_of, violations
-from places import platform_for
+from places import HOST_AND_NATIVE, platform_for
 from starts import context_of, velocities_of
 
 
@@ -228,7 +228,7 @@ def stretched(scheme, h, engine, beside=None):
     return 0.5 * (momentum[1] - momentum[0]), positions_of(context)
 
 
-@pytest.mark.parametrize("engine", ["host", pytest.param("native", marks=pytest.mark.opencl)])
+@pytest.mark.parametrize("engine", HOST_AND_NATIVE)
 @pytest.mark.parametrize(("scheme", "h"), [("W2_3m", 0.024), ("BAOA", 0.006)])
 def test_a_balance_of_fast_and_slow_forces_adds_no_momentum(scheme, h, engine):
     """The bond pulls throughout a step, what stretches it in kicks alone: where a step ends both must have done alike.

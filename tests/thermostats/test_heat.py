@@ -12,7 +12,7 @@ from both_engines import begun, pair
 from graphs import GRAPHS, system_of
 from openmm_exactrb.openmm_access.platforms import DEVICES
 from peptides import in_water
-from places import PLATFORMS, REFERENCE
+from places import PLATFORMS, REFERENCE, device_platform
 from products import in_pairs, spread_over
 from thermostatted import load, molecules, saved
 from zoo import every_kind, water
@@ -93,6 +93,8 @@ CASES = {
     "rescaling": Case(water, rescaling),
     "rescaling of clusters": Case(clusters, rescaling, {"scheme": "S2_2"}),
     "rescaling of parts": Case(lambda: peptide("HBonds"), rescaling, {"fast": "bonded", "together": False}),
+    "rescaling of three kicks": Case(lambda: peptide("HBonds"), rescaling, {"scheme": "W2_3m", "fast": "bonded"}),
+    "rescaling and inner steps": Case(lambda: peptide("HBonds"), rescaling, {"scheme": "BAOAB", "fast": "bonded"}),
     "chains": Case(every_kind, chains),
     "chains and inner steps": Case(lambda: peptide("AllBonds"), chains, {"fast": "bonded"}),
 }
@@ -271,3 +273,14 @@ def test_motion_that_a_thermostat_of_the_system_changes_is_no_heat(platform):
     for context in pair(system, positions, lambda engine: langevin(engine, friction=0.0), platform=platform):
         context.getIntegrator().step(5)
         assert context.getIntegrator().heat()._value == 0.0
+
+
+@pytest.mark.opencl
+def test_the_temperature_of_the_system_and_its_energy_are_those_of_the_host():
+    """Which OpenMM's reporters ask for."""
+    found = []
+    for context in CASES["every kind"].started(0, device_platform()):
+        integrator = context.getIntegrator()
+        integrator.step(5)
+        found.append((integrator.computeSystemTemperature()._value, integrator.totalEnergy()._value))
+    assert found[1] == pytest.approx(found[0], rel=1e-8)
