@@ -4,7 +4,7 @@ OpenMM can assign the reciprocal part of an Ewald sum to a separate force group,
 groups in inner steps. For rigid TIP3P in a periodic box on the Reference platform, the script measures the standard
 deviation of the total energy within runs, and compares it with that of the plain scheme with as many evaluations of all
 forces. The cost of each method per ps is computed from the times of an evaluation of the direct part and of the
-reciprocal part.
+reciprocal part. Rows are written to records/reciprocal.csv, errors in kJ/mol per molecule.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 from benchmarks.common.energies import noise
+from benchmarks.common.provenance import OF_RUN, PROVENANCE, of_run, provenance
+from benchmarks.common.records import RECORDS, Record
 from benchmarks.common.starts import context_of
 from benchmarks.water.droplet import equilibrated
 
@@ -31,6 +33,8 @@ METHODS = (
     ("S2_2 in S2_2", "S2_2", 150, "S2_2", 500),
     ("S2_2 in S2_2", "S2_2", 300, "S2_2", 1000),
 )
+FOUND = "molecules", "starts", "direct_per_ps", "std", "s_per_ps"
+RECORD = Record(RECORDS / "reciprocal.csv", ("method", "reciprocal_per_ps"), (*FOUND, *OF_RUN, PROVENANCE[-1]))
 
 
 def box(molecules):
@@ -74,16 +78,17 @@ def main():
     system, x = box(args.molecules)
     starts = equilibrated(system, x, 10.0, args.starts, "CPU")
     direct_cost, reciprocal_cost = seconds(system, starts[0][0])
-    print(f"an evaluation takes {1e3 * direct_cost:.2g} ms (direct) and {1e3 * reciprocal_cost:.2g} ms (reciprocal)\n")
-    print("| method | reciprocal per ps | direct per ps | std, kJ/mol per molecule | s per ps |")
-    print("|" + 5 * " --- |")
+    print(f"an evaluation takes {1e3 * direct_cost:.2g} ms (direct) and {1e3 * reciprocal_cost:.2g} ms (reciprocal)")
     for name, outer, reciprocal, inner, direct in METHODS:
         integrator = integrator_of(outer, reciprocal, inner, direct)
-        spread = noise(context_of(system, integrator, platform="Reference"), starts, args.duration)[-1] / args.molecules
+        context = context_of(system, integrator, platform="Reference")
+        spread = noise(context, starts, args.duration)[-1] / args.molecules
         timings = integrator.timings
         made = reciprocal * timings.fast_evaluations / timings.evaluations if inner else direct
         cost = made * direct_cost + reciprocal * reciprocal_cost
-        print(f"| {name} | {reciprocal} | {made:.0f} | {spread:.2g} | {cost:.2g} |", flush=True)
+        found = args.molecules, args.starts, f"{made:.0f}", f"{spread:.2g}", f"{cost:.3g}"
+        row = {"method": name, "reciprocal_per_ps": reciprocal} | dict(zip(FOUND, found, strict=True))
+        RECORD.add(row | provenance() | of_run(context))
 
 
 if __name__ == "__main__":

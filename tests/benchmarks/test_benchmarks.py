@@ -52,6 +52,20 @@ def test_the_picture_of_a_record_is_among_the_pictures_and_that_of_another_table
     assert records.picture_of(tmp_path / "roundoff.csv") == tmp_path / "roundoff.png"
 
 
+def imported(script):
+    """Whether other scripts or tests import a script."""
+    *folders, name = script.removesuffix(".py").split("/")
+    package = ".".join(("benchmarks", *folders))
+    line = re.compile(rf"^from {package}(\.{name} import|\s+import\b.*\b{name}\b)", re.MULTILINE)
+    files = (file for folder in (BENCHMARKS, ROOT / "tests") for file in folder.rglob("*.py"))
+    return any(line.search(file.read_text(encoding="utf-8")) for file in files if file != BENCHMARKS / script)
+
+
+def test_every_script_has_a_record_or_is_imported():
+    without = [script.strip("`") for script, *_, cell in ROWS if not cell]
+    assert [script for script in without if not imported(script)] == []
+
+
 @pytest.mark.parametrize("name", SCRIPTS)
 def test_every_script_can_be_imported(name):
     importlib.import_module("benchmarks." + name.removesuffix(".py").replace("/", "."))
