@@ -19,7 +19,7 @@ from changes import (
     restraint,
     shown,
 )
-from products import in_pairs, spread_over
+from products import spread_over
 
 
 def continued(run, how, system=None, place=None):
@@ -46,7 +46,9 @@ RUNS = [
 ]
 
 
-@in_pairs({"scheme, place": RUNS, "how": ["checkpoint", "State"], "looks": [True, False]})
+@pytest.mark.parametrize("looks", [True, False])
+@pytest.mark.parametrize("how", ["checkpoint", "State"])
+@pytest.mark.parametrize(("scheme", "place"), RUNS)
 def test_what_is_saved_behind_a_change_continues_with_the_same_bits(scheme, place, how, looks):
     rng = random.Random(f"{scheme}{place}{how}{looks}")
     changes = rng.sample([c for c in CHANGES if c not in (removed_force, minimiser)], 3 if place != "OpenCL" else 1)

@@ -1,6 +1,7 @@
 """Parameters of tests whose products would repeat the same mechanism."""
 
 import itertools
+from collections import Counter
 
 import pytest
 
@@ -21,11 +22,16 @@ def pairwise(*axes):
     if len(axes) == 1:
         return [_row([value]) for value in axes[0]]
     left = [tuple(row) for row in itertools.product(*(range(len(axis)) for axis in axes))]
-    missing = {pair for row in left for pair in _pairs(row)}
-    rows = []
-    while missing:
-        best = max(left, key=lambda row: len(missing.intersection(_pairs(row))))
-        missing.difference_update(_pairs(best))
+    used, rows = Counter({pair: 0 for row in left for pair in _pairs(row)}), []
+
+    def gain(row):
+        """How many pairs of a row are new, and how often the others were not used."""
+        times = [used[pair] for pair in _pairs(row)]
+        return times.count(0), -sum(times)
+
+    while not all(used.values()):
+        best = max(left, key=gain)
+        used.update(_pairs(best))
         rows.append(_row(axis[k] for axis, k in zip(axes, best, strict=True)))
     return rows
 
