@@ -1,13 +1,14 @@
 """The first step after any change begins with virtual sites at their places, and every call shows them there."""
 
+from contextlib import nullcontext
+
 import numpy as np
 import openmm
 import pytest
 
 import openmm_exactrb as rb
 import starts
-from openmm_exactrb.engines import selection
-from places import REFERENCE, platform_for
+from places import REFERENCE, no_library, platform_for
 from products import in_pairs
 from starts import energy_of, positions_of
 
@@ -43,9 +44,7 @@ def molecules(make):
 
 
 def made(place, scheme):
-    with pytest.MonkeyPatch.context() as patch:
-        if place == "no library":
-            patch.setattr(selection, "adopt", lambda integrator: None)
+    with no_library() if place == "no library" else nullcontext():
         engine = "native" if place in ("kernels", "OpenCL") else "host"
         return rb.ExactRigidBodyIntegrator(0.002, scheme, engine=engine)
 

@@ -1,6 +1,7 @@
 """What a user changes between calls, in Contexts of every place where steps are performed."""
 
 import copy
+from contextlib import nullcontext
 
 import numpy as np
 import openmm
@@ -9,9 +10,8 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 import starts
-from openmm_exactrb.engines import selection
 from openmm_exactrb.schemes import WITH_THERMOSTAT
-from places import REFERENCE, platform_for
+from places import REFERENCE, no_library, platform_for
 from starts import positions_of, velocities_of
 
 #: Where steps are performed: on the host, with integrators of the library or without one, or by the kernels.
@@ -74,9 +74,7 @@ class Run:
     def made(self, place):
         thermostat = None if self.thermostat is None else rb.thermostats.Langevin(300.0, 1.0)
         engine = "native" if place in ("kernels", "OpenCL") else "host"
-        with pytest.MonkeyPatch.context() as patch:
-            if place == "no library":
-                patch.setattr(selection, "adopt", lambda integrator: None)
+        with no_library() if place == "no library" else nullcontext():
             return rb.ExactRigidBodyIntegrator(self.h, self.scheme, engine=engine, thermostat=thermostat)
 
     def fresh(self):

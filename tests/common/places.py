@@ -1,11 +1,14 @@
 """Where tests of an engine run: the host on Reference, the native engine on a GPU, or on the CPU by OpenCL."""
 
 import os
+from contextlib import contextmanager
 from functools import cache
 
 import openmm
 import pytest
 
+import openmm_exactrb as rb
+from openmm_exactrb.engines import selection
 from openmm_exactrb.library.library import SLOWER, missing
 from openmm_exactrb.openmm_access.platforms import DEVICES, platforms
 
@@ -27,6 +30,26 @@ def device_platform(names=DEVICES):
     names = tuple(name for name in names if name == os.environ.get("OPENMM_DEFAULT_PLATFORM")) or tuple(names)
     found, missing = _first(names)
     return found or pytest.skip(missing)
+
+
+@contextmanager
+def no_library():
+    """Create integrators as where there is no library."""
+    _begin_with_library()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(selection, "adopt", lambda integrator: None)
+        yield
+
+
+@cache
+def _begin_with_library():
+    """Create a Context with the library, so that all such Contexts have the methods of OpenMM.
+
+    The first integrator without a library replaces these methods for the whole process.
+    """
+    system = openmm.System()
+    system.addParticle(1.0)
+    openmm.Context(system, rb.ExactRigidBodyIntegrator(0.001), REFERENCE)
 
 
 def has_device():
