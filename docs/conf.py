@@ -22,6 +22,7 @@ sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for benchmarks, which a picture needs
 
 import droplet
+import rooms
 
 import openmm_exactrb
 
@@ -144,6 +145,12 @@ def undocumented(app: Sphinx, env: Any) -> None:
             log.warning("openmm_exactrb.%s is on no page of docs/reference/api", name)
 
 
+def outdated(app: Sphinx) -> None:
+    """Warn if the map of the package is not that of its imports."""
+    if rooms.PICTURE.read_text(encoding="utf-8") != rooms.svg():
+        log.warning("docs/pictures/rooms.svg is out of date: run docs/_ext/rooms.py")
+
+
 def in_the_pages(app: Sphinx, page: str, source: list[str]) -> None:
     """Let links to examples, which lead to scripts on a forge, lead to the pages that are made from them."""
     source[0] = re.sub(
@@ -195,6 +202,7 @@ def breakable(app: Sphinx, tree: nodes.document, name: str) -> None:
 def setup(app: Sphinx) -> None:
     """Connect what is above."""
     app.connect("builder-inited", moving_droplet)
+    app.connect("builder-inited", outdated)
     for listener in tuple(app.events.listeners["autodoc-process-signature"]):
         if listener.handler is mangle_signature:
             app.disconnect(listener.id)

@@ -26,17 +26,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from openmm_exactrb.constraints.constants import GRAPH_ORDERS, HALVINGS, SETTLED
 from openmm_exactrb.constraints.elimination import Graph
 from openmm_exactrb.mathematics.compensated import add, two_difference
-from openmm_exactrb.mathematics.quaternions import TO_GRID
+from openmm_exactrb.mathematics.constants import TO_GRID
 from openmm_exactrb.support.types import Array
-
-#: The largest number of orders of the multipliers in a drift; a step that needs more orders is halved.
-ORDERS = 30
-#: A series ends when two successive terms are below this fraction of its first term.
-SETTLED = 1e-16
-#: The largest number of times that a step is halved; the results of a cluster that needs more halvings are nan.
-HALVINGS = 12
 
 
 def advance(
@@ -108,9 +102,9 @@ def _change(graph: Graph, x: Array, p: Array, t: float) -> tuple[Array, Array, N
     r = [r0, t * _differences(graph, v)]
     bound = SETTLED * np.abs(r[1]).max(axis=(0, 1))
     multipliers: list[Array] = []
-    small = np.zeros((ORDERS + 1, x.shape[-1]), dtype=bool)
+    small = np.zeros((GRAPH_ORDERS + 1, x.shape[-1]), dtype=bool)
     settled = small[0]
-    for k in range(ORDERS):
+    for k in range(GRAPH_ORDERS):
         w = (k + 1) * (k + 2)
         F = sum((a * b for a, b in zip(multipliers, reversed(r[1 : k + 1]), strict=True)), np.zeros(r0.shape))
         q = 0.5 * sum((a * b for a, b in zip(r[1:], reversed(r[1:]), strict=True)), np.zeros(r0.shape)).sum(axis=0)

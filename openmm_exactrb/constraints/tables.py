@@ -8,22 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from openmm_exactrb.constraints.constants import GRAPH_ORDERS
 from openmm_exactrb.constraints.elimination import Graph
-from openmm_exactrb.constraints.geodesics import HALVINGS, ORDERS, SETTLED
 from openmm_exactrb.support.types import Indices
 
 #: The largest number of outer atoms of a star.
 RAYS = 4
-#: The largest number of orders of the multipliers of stars, whose series are in registers.
-ORDERS_OF_STARS = 12
-#: The constants with which the kernels of clusters are compiled.
-CONSTANTS = {
-    "RAYS": RAYS,
-    "ORDERS": ORDERS_OF_STARS,
-    "GRAPH_ORDERS": ORDERS,
-    "SETTLED": SETTLED,
-    "SHORTEST": 0.5**HALVINGS,
-}
 
 
 class Group(NamedTuple):
@@ -72,7 +62,7 @@ def arrays(
         "graphs": np.concatenate(graphs).astype(np.int32),
         "room": np.zeros(0 if shared else room),
     }
-    return made, {"GRAPHS": kinds, "ALL_ATOMS": n} | CONSTANTS
+    return made, {"GRAPHS": kinds, "ALL_ATOMS": n, "RAYS": RAYS}
 
 
 def _table(graph: Graph, stride: int, first_length: int) -> Indices:
@@ -83,7 +73,7 @@ def _table(graph: Graph, stride: int, first_length: int) -> Indices:
 
 def _room(graph: Graph) -> int:
     """Return the number of elements in the workspace of a cluster, as in graph.cl."""
-    return (4 * ORDERS + 16) * len(graph.pairs) + len(graph.columns) + 3 * len(graph.inverse)
+    return (4 * GRAPH_ORDERS + 16) * len(graph.pairs) + len(graph.columns) + 3 * len(graph.inverse)
 
 
 def is_star(group: Group) -> bool:

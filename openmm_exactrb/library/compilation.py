@@ -8,11 +8,13 @@ from __future__ import annotations
 import hashlib
 import os
 import platform
+import runpy
 import shutil
 import subprocess
 import tempfile
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from pathlib import Path
 
 import openmm
@@ -23,6 +25,8 @@ PACKAGE = _HERE.parent
 #: The C++ sources of the library, and the files that they include.
 SOURCES = tuple(sorted((_HERE / "source").glob("*.cpp")))
 INCLUDED = tuple(sorted((*(_HERE / "source").glob("*.h"), *PACKAGE.rglob("*.cl"))))
+#: The files with constants that kernels share with Python; names in capitals are macros of the kernel texts.
+CONSTANTS = tuple(sorted(PACKAGE.rglob("constants.py")))
 #: The library that a wheel contains.
 BUNDLED = _HERE / "program_integrator.so"
 #: The minor version of OpenMM for which the sources are written, because they depend on the layout of its classes.
@@ -99,11 +103,20 @@ def of_this_machine() -> tuple[str, ...]:
     return ("-mavx2",) if "avx2" in features.split() else ()
 
 
+@cache
+def definitions() -> str:
+    """Return the definitions of the constants that kernels share with Python, in the preprocessor's language."""
+    found = {name: value for file in CONSTANTS for name, value in runpy.run_path(str(file)).items() if name.isupper()}
+    large = 2**31  # literals above need a suffix
+    texts = (f"{value}UL" if isinstance(value, int) and value >= large else repr(value) for value in found.values())
+    return "".join(f"#define {name} {text}\n" for name, text in zip(found, texts, strict=True))
+
+
 def digest(*flags: str) -> str:
     """Return a hash of all that determines the compiled library: texts, flags, compiler, OpenMM and machine."""
     command = compiler()
     version = _executed(command, "--version").stdout
-    files = (*SOURCES, *INCLUDED, Path(__file__))  # this file contains the flags
+    files = (*SOURCES, *INCLUDED, *CONSTANTS, Path(__file__))  # this file contains the flags
     texts = (part for file in files for part in (file.name.encode(), file.read_bytes()))
     words = (openmm.__version__, _SYSTEM, platform.machine(), command, version, *flags)
     return hashlib.sha256(b"\0".join((*texts, *map(str.encode, words)))).hexdigest()[:16]
@@ -115,8 +128,10 @@ def build(path: Path, *flags: str, sources: Sequence[Path] = SOURCES) -> None:
     command, folder = compiler(), openmm_folder()
     built_for = f'-DBUILT_FOR="{openmm.__version__}"'
     with tempfile.TemporaryDirectory(dir=path.parent, prefix=TEMPORARY) as temporary:
+        (Path(temporary) / "constants.h").write_text(definitions(), encoding="utf-8")
         objects = [Path(temporary) / source.with_suffix(".o").name for source in sources]
-        compiling = (command, *_FLAGS, built_for, f"-I{folder / 'include'}", f"-I{PACKAGE}", *flags, "-c")
+        folders = [f"-I{named}" for named in (folder / "include", PACKAGE, temporary)]
+        compiling = (command, *_FLAGS, built_for, *folders, *flags, "-c")
         with ThreadPoolExecutor() as threads:
             list(threads.map(lambda source, out: _run((*compiling, str(source), *_to(out))), sources, objects))
         linked = Path(temporary) / path.name

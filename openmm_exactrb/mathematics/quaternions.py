@@ -10,13 +10,11 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
+from openmm_exactrb.mathematics.constants import TO_GRID
 from openmm_exactrb.support.types import Array
 
 #: An array, or in compiled code a scalar.
 Numbers: TypeAlias = Any
-
-#: Adding and then subtracting this number rounds numbers between -1 and 1 to multiples of 2^-26.
-TO_GRID = 1.5 * 2.0**26
 
 
 def multiply(p: Array, q: Array) -> Array:

@@ -226,7 +226,7 @@ KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL
             const int4 place = places[atoms[atom]];
             if (what & PLACES_ATOMS)
                 write_position(posq, posqCorrection, place, box, xs[3*i], xs[3*i+1], xs[3*i+2]);
-            if (what & SHOWS_VELOCITIES)
+            if (what & SHOWS_ATOMS)
                 velm[place.x] = make_mixed4((mixed) seen[3*atom], (mixed) seen[3*atom+1], (mixed) seen[3*atom+2], velm[place.x].w);
             if (what & MOVES_ATOMS)
                 for (int e = 0; e < 3; e++)

@@ -8,15 +8,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from openmm_exactrb.random.constants import PHILOX_FIRST, PHILOX_KEY, PHILOX_ROUNDS, PHILOX_SECOND_KEY, PHILOX_THIRD
 from openmm_exactrb.support.types import Array
 
 Words = NDArray[np.uint64]
 
 _HALF, _LOW = np.uint64(32), np.uint64(0xFFFFFFFF)
-# The multipliers of the first and of the third word of the counter, and the increments of the two words of the key.
-_MULTIPLIERS = np.array([[0xD2E7470EE14C6C93], [0xCA5A826395121157]], dtype=np.uint64)
-_INCREMENTS = np.array([[0x9E3779B97F4A7C15], [0xBB67AE8584CAA73B]], dtype=np.uint64)
-_ROUNDS = 10
+_MULTIPLIERS = np.array([[PHILOX_FIRST], [PHILOX_THIRD]], dtype=np.uint64)
+_INCREMENTS = np.array([[PHILOX_KEY], [PHILOX_SECOND_KEY]], dtype=np.uint64)
 
 
 def uniforms(seed: int, step: int, stream: int, block: int, u: Array) -> None:
@@ -24,7 +23,7 @@ def uniforms(seed: int, step: int, stream: int, block: int, u: Array) -> None:
     words = np.array([[0], [block], [stream], [step]]).astype(np.uint64).repeat(u.shape[1], axis=1)
     words[0] = np.arange(1, u.shape[1] + 1, dtype=np.uint64)
     key = np.array([[seed], [0]]).astype(np.uint64)
-    for _ in range(_ROUNDS):
+    for _ in range(PHILOX_ROUNDS):
         even, odd = words[::2], words[1::2]
         high, low = _high_product(_MULTIPLIERS, even), _MULTIPLIERS * even
         words = np.stack([high[1] ^ odd[0] ^ key[0], low[1], high[0] ^ odd[1] ^ key[1], low[0]])

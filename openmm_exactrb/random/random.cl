@@ -10,16 +10,16 @@
 
 DEVICE inline void philox(mm_ulong key, mm_ulong* c) {
     mm_ulong k0 = key, k1 = 0;
-    for (int i = 0; i < 10; i++) {
-        const mm_ulong m0 = 0xD2E7470EE14C6C93UL, m1 = 0xCA5A826395121157UL;
+    for (int i = 0; i < PHILOX_ROUNDS; i++) {
+        const mm_ulong m0 = PHILOX_FIRST, m1 = PHILOX_THIRD;
         const mm_ulong high0 = HIGH_PRODUCT(m0, c[0]), high1 = HIGH_PRODUCT(m1, c[2]);
         const mm_ulong c1 = c[1], c3 = c[3];
         c[1] = m1*c[2];
         c[3] = m0*c[0];
         c[0] = high1^c1^k0;
         c[2] = high0^c3^k1;
-        k0 += 0x9E3779B97F4A7C15UL;
-        k1 += 0xBB67AE8584CAA73BUL;
+        k0 += PHILOX_KEY;
+        k1 += PHILOX_SECOND_KEY;
     }
 }
 

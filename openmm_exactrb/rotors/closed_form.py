@@ -29,10 +29,9 @@ from numpy.typing import NDArray
 from openmm_exactrb.mathematics.compensated import add, exactly, keep_norm, times, times_squared, two_difference
 from openmm_exactrb.mathematics.elliptic import jacobi, sine_short, third_kind, third_kind_short
 from openmm_exactrb.mathematics.quaternions import Numbers, multiply, norm_defect, renormalise
+from openmm_exactrb.rotors.constants import SHORT
 from openmm_exactrb.support.types import Array
 
-#: The largest b G h for which the series of `_short` are exact to roundoff.
-SHORT = 0.3
 #: The range of momenta whose squares neither overflow nor underflow.
 SAFE = (1e-70, 1e70)
 #: The largest angle h G/I3 of a step of the library, for which the reduction of angles is exact to roundoff.

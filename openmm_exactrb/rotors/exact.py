@@ -14,14 +14,13 @@ from numpy.typing import NDArray
 
 from openmm_exactrb.library import functions
 from openmm_exactrb.rotors import closed_form
+from openmm_exactrb.rotors.constants import SHORT
 from openmm_exactrb.rotors.flow import Flow, ascending
 from openmm_exactrb.support.types import Array
 
 # The largest number of short steps of the library, which take 5 us; a call of NumPy takes 300 us, and 2 us for a body.
 _MOST_PARTS = 64
-_LIMITS = np.array(
-    [_MOST_PARTS * closed_form.SHORT, *closed_form.SAFE, closed_form.VANISHING, closed_form.LARGEST_ANGLE]
-)
+_LIMITS = np.array([_MOST_PARTS * SHORT, *closed_form.SAFE, closed_form.VANISHING, closed_form.LARGEST_ANGLE])
 
 
 def fastest(inertia: Array) -> Flow:

@@ -2,11 +2,7 @@
 // fewer divisions and square roots. A longer step is a sequence of short steps. SIX_NODES and TEN_NODES, in
 // nodes.cl, are sums of quadrature rules.
 
-// The largest b G t of a short step. A body that needs more than MOST_PARTS short steps has diverged.
-#define SHORT 0.3
-#define MOST_PARTS 10000.0
-// Adding and then subtracting TO_GRID rounds numbers between -1 and 1 to 26 bits; TO_WHOLE rounds to whole numbers.
-#define TO_GRID 100663296.0
+// Adding and then subtracting TO_WHOLE rounds to whole numbers.
 #define TO_WHOLE 6755399441055744.0
 
 // REALS are numbers of a body or, on processors, vectors with a number of each of several bodies (source/several.h).

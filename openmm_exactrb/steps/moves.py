@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
+from openmm_exactrb.steps import constants
 from openmm_exactrb.support.descriptions import mismatch
 
 #: exchange(tau) -> the numbers that kernels need for a heat exchange over tau (ps).
@@ -19,16 +20,16 @@ MOVE = re.compile(r"\bDEVICE\s+(?:inline\s+)?void\s+(\w+)\s*\(\s*Body\s*\*\s*\w+
 
 
 class Op(IntEnum):
-    """The kinds of moves, with the numbers that the kernels use."""
+    """The kinds of moves; see `openmm_exactrb.steps.constants`."""
 
-    DRIFT = 0  # free motion
-    KICK = 1  # change of momenta by the present forces
-    EXCHANGE = 2  # heat exchange with the numbers of the thermostat
-    LAST_KICK = 3  # change of momenta by a weighted sum of stored forces
-    REMEMBER = 4  # storage of the present forces as the most recent forces
-    DISPLACE = 5  # displacement of particles, not of bodies, by the present forces; the number is e of GradientKick
-    DISPLACED_KICK = 6  # change of momenta by the forces on displaced particles; the numbers are tau and e
-    FAST_KICK = 7  # change of momenta of bodies with inner steps by the present fast forces
+    DRIFT = constants.DRIFT
+    KICK = constants.KICK
+    EXCHANGE = constants.EXCHANGE
+    LAST_KICK = constants.LAST_KICK
+    REMEMBER = constants.REMEMBER
+    DISPLACE = constants.DISPLACE
+    DISPLACED_KICK = constants.DISPLACED_KICK
+    FAST_KICK = constants.FAST_KICK
     OWN = 16  # number of the first user-defined move
 
 

@@ -6,6 +6,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from openmm_exactrb.library.compilation import definitions
+
 # The kernel texts of the package, which are next to the physics that they describe, by name.
 _TEXTS = {path.name: path for path in Path(__file__).parents[2].rglob("*.cl")}
 
@@ -40,9 +42,9 @@ class Source:
 
     @property
     def text(self) -> str:
-        """The source that is compiled for a device: the macros and the pieces."""
+        """The source that is compiled for a device: the constants of all rooms, the macros and the pieces."""
         defines = [f"#define {name} {value}\n" for name, value in self.defines]
-        return "\n".join(["".join(defines), *map(_piece, self.pieces)])
+        return "\n".join([definitions(), "".join(defines), *map(_piece, self.pieces)])
 
     @property
     def lines(self) -> list[str]:

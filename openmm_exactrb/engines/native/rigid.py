@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from openmm_exactrb.engines.native.constants import HAS_FORCES, IS_DISPLACED, MOVES_PARTICLES, SHOWS_VELOCITIES
 from openmm_exactrb.engines.native.program import Launch, Operation, Program, Source
 from openmm_exactrb.engines.native.segments import Segment, Table, merged
 from openmm_exactrb.library.library import Machine
@@ -38,7 +39,6 @@ _CONTEXT = ("posq", "posqCorrection", "velm", "places", "box")
 # Pattern of a function in the source of a user's move; the group is the name of the function.
 _FUNCTION = re.compile(r"\bDEVICE\s+(?:inline\s+)?\w+\s+(\w+)\s*\(")
 # Bits for the properties of a segment, as in kernels/rigid.cl.
-_HAS_FORCES, _MOVES_PARTICLES, _SHOWS_VELOCITIES, _IS_DISPLACED = 1, 2, 4, 8
 
 
 @dataclass(frozen=True)
@@ -194,10 +194,10 @@ class RigidPart:
         """Return the launch that performs a segment."""
         moves = merged(move for move in segment.moves if move.bodies != "inner")
         displaced = segment.has(Op.DISPLACED_KICK)
-        what = _HAS_FORCES * any(move.groups for move in moves)
-        what |= _HAS_FORCES * segment.has(Op.REMEMBER)
-        what |= _MOVES_PARTICLES * (segment.places or displaced or any(move.displaces for move in moves))
-        what |= _SHOWS_VELOCITIES * segment.shows | _IS_DISPLACED * displaced
+        what = HAS_FORCES * any(move.groups for move in moves)
+        what |= HAS_FORCES * segment.has(Op.REMEMBER)
+        what |= MOVES_PARTICLES * (segment.places or displaced or any(move.displaces for move in moves))
+        what |= SHOWS_VELOCITIES * segment.shows | IS_DISPLACED * displaced
         arguments: tuple[str | int, ...] = (
             *_CONTEXT,
             "force",

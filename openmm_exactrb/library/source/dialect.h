@@ -9,6 +9,7 @@
 #elif defined(__GNUC__)
 #pragma GCC diagnostic ignored "-Wpsabi" // about calls with vectors, which are inlined
 #endif
+#include "constants.h" // which openmm_exactrb.library.compilation writes
 #define PROCESSOR
 #define KERNEL
 #define DEVICE

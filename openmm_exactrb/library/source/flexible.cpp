@@ -40,10 +40,6 @@ struct Flexible : Thread {
 #define OF_SUM(sum) (sum)
 #include "random/random.cl"
 #include "engines/native/kernels/layout.cl"
-#define ORDERS 12
-#define GRAPH_ORDERS 30
-#define SETTLED 1e-16
-#define SHORTEST (1.0/4096)
 #include "constraints/pair.cl"
     // Larger stars have a struct for each number of constraints, for a single star and for several stars.
     template <int RAYS, class REALS, class INDICES, bool SEVERAL> struct Star {

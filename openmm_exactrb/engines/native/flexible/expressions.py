@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import openmm
 
+from openmm_exactrb.engines.native.constants import CONSTANT, COORDINATE, FIRST_OPERATION, NUMBER_OF_TERM, PARAMETER
 from openmm_exactrb.library.library import library
 from openmm_exactrb.multiple_time_steps.bonded import Bonded
 from openmm_exactrb.support.types import Array, Indices
@@ -23,7 +24,6 @@ _KINDS = {
     openmm.CustomTorsionForce: ("Torsion", "theta"),
 }
 # The kinds of steps that are no operations, as in kernels/layout.cl.
-_COORDINATE, _NUMBER, _PARAMETER, _CONSTANT, _FIRST_OPERATION = range(5)
 # The operations as functions on devices.
 _FUNCTIONS = (
     "#define OPERATION(name, value) DEVICE inline double of_##name(double a, double b, double c) { return value; }"
@@ -84,17 +84,17 @@ def rows(custom: Custom, names: list[str], first_constant: int) -> tuple[Indices
     for step in custom.steps:
         what, *arguments = step.split()
         if what == "coordinate":
-            row = [_COORDINATE]
+            row = [COORDINATE]
         elif what == "number":
-            row = [_NUMBER, int(arguments[0])]
+            row = [NUMBER_OF_TERM, int(arguments[0])]
         elif what == "parameter":
-            row = [_PARAMETER, names.index(arguments[0])]
+            row = [PARAMETER, names.index(arguments[0])]
         elif what == "constant":
-            row = [_CONSTANT, first_constant + len(constants)]
+            row = [CONSTANT, first_constant + len(constants)]
             constants.append(float(arguments[0]))
         else:
             number, *of = map(int, arguments)
-            row = [_FIRST_OPERATION + number, *of]
+            row = [FIRST_OPERATION + number, *of]
         made.append([*row, 0, 0, 0][:4])
     return np.array(made), np.array(constants)
 

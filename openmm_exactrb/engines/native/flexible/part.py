@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from openmm_exactrb.constraints import tables as clusters
+from openmm_exactrb.engines.native.constants import MOVES_ATOMS, PLACES_ATOMS, PROJECTS, SHOWS_ATOMS
 from openmm_exactrb.engines.native.flexible import expressions, tables
 from openmm_exactrb.engines.native.flexible.blocks import blocks_of
 from openmm_exactrb.engines.native.flexible.inner import Moves, moves_of, up_to_drifts
@@ -25,7 +26,6 @@ from openmm_exactrb.support.types import Array, Indices
 #: Number of threads per block of atoms.
 THREADS = 256
 # Bits for the actions of a launch in addition to its moves, as in kernels/layout.cl.
-_MOVES, _PLACES, _PROJECTS, _SHOWS = 1, 2, 4, 8
 _CONTEXT = ("posq", "posqCorrection", "velm", "force", "places", "box")
 _FORCES = ("memory", "differences", "here", "push", "seen", "exchanged", "heat")
 _ATOMS = ("atoms", "bodies", "inverse")
@@ -132,7 +132,7 @@ class FlexiblePart:
         x, v = self.state(segment.copied)
         displaced, made = f"{self._prefix}there", list[Operation]()
         if segment.has(Op.DISPLACE):
-            return [self._launch(table.rows(moves), _MOVES | _PLACES, (x, displaced, v))]
+            return [self._launch(table.rows(moves), MOVES_ATOMS | PLACES_ATOMS, (x, displaced, v))]
         returns = segment.has(Op.DISPLACED_KICK)
         if returns:
             made.append(self._launch(table.rows(moves[:1]), 0, (displaced, displaced, v)))
@@ -143,8 +143,10 @@ class FlexiblePart:
         for k, part in enumerate(parts):
             last = k == len(parts) - 1
             there = self._next(here, x, k == last_drift) if self._open and _drifts(part) else here
-            what = _MOVES * _drifts(part) | _PLACES * (k == last_drift or ((segment.places or returns) and last))
-            what |= (_PROJECTS | _SHOWS) * (segment.shows and last)
+            what = MOVES_ATOMS * _drifts(part) | PLACES_ATOMS * (
+                k == last_drift or ((segment.places or returns) and last)
+            )
+            what |= (PROJECTS | SHOWS_ATOMS) * (segment.shows and last)
             made.append(self._launch(table.rows(part), what, (here, there, v)))
             here = there
         if here != x:
@@ -173,7 +175,7 @@ class FlexiblePart:
         threads, (inverse, heat, sums) = min(self.n, BLOCK * GROUPS), self._named("inverse", "heat", "kinetic")
         kinetic = Launch(self._source, "flexible_kinetic", threads, (inverse, x, self._seen, heat, sums), BLOCK)
         total = Launch(self._source, "total", BLOCK, (sums, *TOTALS, int(adds)), BLOCK)
-        return [self._launch((0, 0), _PROJECTS, (x, x, v)), kinetic, total]
+        return [self._launch((0, 0), PROJECTS, (x, x, v)), kinetic, total]
 
     def kinetic_by_kind(self, machine: Machine) -> Array:
         """Return the kinetic energies that the last reductions found: of translation, rotation and other particles."""

@@ -16,20 +16,6 @@ typedef struct {
     GLOBAL const double* constants;
 } Body;
 
-// Bits for the properties of a segment.
-#define HAS_FORCES 1
-#define MOVES_PARTICLES 2
-#define SHOWS_VELOCITIES 4
-#define IS_DISPLACED 8
-
-#define DRIFT 0
-#define KICK 1
-#define EXCHANGE 2
-#define LAST_KICK 3
-#define REMEMBER 4
-#define DISPLACE 5
-#define DISPLACED_KICK 6
-
 // Numbers of columns of the tables of kinds, of constants and of moves.
 #define KIND_COLUMNS 8
 #define CONSTANTS 12

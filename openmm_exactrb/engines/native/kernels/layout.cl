@@ -2,8 +2,7 @@
 typedef FINE fine;
 #define NOT_A_NUMBER (0.0/0.0)
 
-// The kinds of moves in openmm_exactrb.steps.moves, and the columns of the table of moves.
-enum { DRIFT = 0, KICK = 1, EXCHANGE = 2, LAST_KICK = 3, REMEMBER = 4, DISPLACE = 5, DISPLACED_KICK = 6, FAST_KICK = 7 };
+// The columns of the table of moves.
 enum { OP, NUMBER_OF_MOVE, FIRST_NUMBER, NUMBERS_OF_MOVE, MOVE_ROW };
 // Indices of the friction factor of translation among the numbers of a heat exchange, for isolated bodies and for
 // bodies in flexible molecules. The amplitude of the noise follows each factor.
@@ -12,15 +11,12 @@ enum { FADE = 1, FADE_OF_FLEXIBLE = 5 };
 // successive exchanges.
 enum { AT_EXCHANGE, BEFORE_EXCHANGE, AFTER_EXCHANGE, BEFORE_EXCHANGES };
 #define EXCHANGED(which, atom) (exchanged+3*((which)*ALL_ATOMS+(atom)))
-// Bits for the actions of a launch in addition to its moves.
-enum { MOVES_ATOMS = 1, PLACES_ATOMS = 2, PROJECTS = 4, SHOWS_VELOCITIES = 8 };
 
 enum { FIRST_CLUSTER, CLUSTERS, FIRST_PLACE, PLACES, OWN, FIRST_TERMS, BLOCK_ROW = FIRST_TERMS+12 };
 typedef struct { int first, last, count; } Terms; // first term of a thread, end of its block, terms of all blocks
 // Columns of the table of custom forces, and of the steps that compute the derivatives of their energies: the kind of a
 // step, and up to three arguments. See openmm_exactrb.engines.native.flexible.expressions.
 enum { ATOMS_OF_TERM, TERMS_OF_CUSTOM, FIRST_MEMBER, FIRST_OF_NUMBERS, FIRST_STEP, STEPS, CUSTOM_ROW };
-enum { COORDINATE, NUMBER_OF_TERM, PARAMETER, CONSTANT, FIRST_OPERATION };
 enum { STEP_ROW = 4 };
 enum { FIRST_ATOM, ATOMS_OF_CLUSTER, GRAPH, ROOM, CLUSTER_ROW };
 // The numbers at the start of the table of a graph; see openmm_exactrb.constraints.tables.
