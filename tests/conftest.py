@@ -2,6 +2,7 @@ import gc
 import locale
 import os
 import signal
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -91,6 +92,13 @@ def _same_locale():
 def host_is_advised(monkeypatch):
     """Let engine="auto" take the host, which elsewhere it takes only for what the kernels do not serve."""
     monkeypatch.setitem(ENGINES, "native", replace(ENGINES["native"], advice=lambda *_: (False, "the host is tested")))
+
+
+@pytest.fixture(autouse=True)
+def draws_of_its_own():
+    """Let the terms that a test draws not depend on the tests before it."""
+    if terms := sys.modules.get("bonded_terms"):
+        terms.RNG.bit_generator.state = terms.START
 
 
 @pytest.fixture(params=["host", pytest.param("native", marks=pytest.mark.library)])

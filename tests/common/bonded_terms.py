@@ -7,6 +7,8 @@ from openmm_exactrb.multiple_time_steps.bonded import BONDED_FORCES, Bonded, int
 from openmm_exactrb.multiple_time_steps.excerpt_forces import terms_of
 
 RNG = np.random.default_rng(5)
+#: The state of the generator at the start of every test (tests/conftest.py).
+START = RNG.bit_generator.state
 N = 140  # more terms than two blocks of the kernel have
 
 
