@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pytest
 
-import openmm_exactrb as rb
 from benchmarks import tables, write_tables
 from benchmarks.dipoles.tables import dipole_memory, droplet_gains
 from benchmarks.water.tables import costs_of_settings, reading_points
@@ -36,7 +35,6 @@ def test_figures_that_are_typed_are_those_that_were_measured():
     assert f"at {figures['protein_throughput']} times the throughput of `LangevinMiddleIntegrator` at 4 fs" in joss
     assert f"{gain} times less energy error over 30 ps" in which
     assert f"with {figures['default_over_verlet']} of Verlet's energy error" in which
-    assert f"{len(rb.SCHEMES)} schemes, {len(rb.ROTORS)} rotors" in readme
     assert f"makes {tables.asked('W4_4'):.1f} evaluations per step" in readme
     peptide = "alanine dipeptide in water, 844 atoms"
     theirs = "LangevinMiddleIntegrator, 2 fs"
