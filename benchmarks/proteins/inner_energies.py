@@ -10,8 +10,9 @@ drift and a kick of b, whose error in the frequency is smallest near the b of S2
 With a friction of 0, the energy is conserved, and `drift` is its slope in kJ/mol/ps. Runs use the CPU platform with one
 thread. Runs that the record contains are not repeated, so that an interrupted command can be resumed.
 
-    python benchmarks/proteins/inner_energies.py peptide --inner S2_2:6 S2_2:2 S2_2:1 b=0.197:1 S2_4:1
-    python benchmarks/proteins/inner_energies.py --pdb villin.pdb --inner S2_2:6 S2_2:1 b=0.197:1
+    python benchmarks/proteins/inner_energies.py peptide --inner S2_2:12 S2_2:4 S2_2:2 b=0.198:2 :
+    python benchmarks/proteins/inner_energies.py --pdb villin.pdb --inner S2_2:12 :
+    python benchmarks/proteins/inner_energies.py peptide --integrator W2_3m --inner S2_2:40 :
     python benchmarks/proteins/inner_energies.py water --friction 0 --picoseconds 200
     python benchmarks/proteins/inner_energies.py --finished
 """
@@ -98,12 +99,12 @@ def means_of(
     """Return the means over a run, and where they come from.
 
     Energies are in kJ/mol, the temperature in K, the drift in kJ/mol/ps, and ms of processor time are those of a
-    nonbonded force. `inner` is a splitting and, after a colon, the number of inner steps in the shortest drift.
+    nonbonded force. `inner` is a splitting and, after a colon, the number of inner steps in a step; ":" is the default.
     """
     topology, system, start = molecules(solute, constraints)
     outer, (name, steps) = splitting(integrator), inner.split(":")
     step = 0.001 * fs * outer.forces
-    each = {"inner": inner_of(name), "innerSteps": round(int(steps) / min(outer.a))} if steps else {}
+    each = {"inner": inner_of(name), "innerSteps": int(steps)} if steps else {}
     mover = rb.ExactRigidBodyLangevinIntegrator(TEMPERATURE, friction or 5.0, step, scheme=integrator, **each)
     mover.setRandomNumberSeed(seed)
     run = simulation_of(topology, system, mover, start if isinstance(start, openmm.State) else None)
@@ -181,8 +182,8 @@ def parse() -> argparse.Namespace:
     add(
         "--inner",
         nargs="+",
-        default=["S2_2:6", "S2_2:1"],
-        help='splitting and number in the shortest drift; ":" is the default',
+        default=["S2_2:12", ":"],
+        help='splitting and inner steps in a step; ":" is the default',
     )
     add("--runs", type=int, default=8, help="runs a point, each with its own seed (%(default)s)")
     add("--picoseconds", type=float, default=100.0, help="length of a run (%(default)s)")

@@ -1,4 +1,4 @@
-"""Estimates of the frequencies of bonds and angles."""
+"""Frequencies of bonds and angles, individually and coupled."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import openmm
-from numpy.typing import NDArray
 
 from openmm_exactrb.multiple_time_steps.bonded import LENNARD_JONES, PAIR, Bonded
+from openmm_exactrb.multiple_time_steps.normal_modes import OfPairs, Springs, highest
 from openmm_exactrb.openmm_access import arrays, parameters
 from openmm_exactrb.support.types import Array, Indices
 
@@ -26,8 +26,12 @@ def fastest(
     forces: Sequence[Bonded] | None = None,
     masses: Array | None = None,
 ) -> float:
-    """Return the highest of the `frequencies` in 1/ps, or 0 if there are none."""
-    return max((float(some.max(initial=0.0)) for some, _ in frequencies(system, groups, forces, masses)), default=0.0)
+    """Return the highest frequency of the normal modes of bonds and angles in 1/ps, or 0 if there are none.
+
+    Parameters are those of `frequencies`; `normal_modes.highest` describes the approximation.
+    """
+    springs, distances, inverse = _springs(system, groups, forces, masses)
+    return highest(_joined(springs, 2), _joined(springs, 3), distances, inverse)
 
 
 def frequencies(
@@ -50,51 +54,44 @@ def frequencies(
     particles : (n, 2) or (n, 3) array
         The particles of each bond or angle.
     """
+    for springs in _springs(system, groups, forces, masses)[0]:
+        yield np.sqrt(np.maximum(springs.square, 0.0)), springs.particles
+
+
+def _springs(
+    system: openmm.System, groups: Sequence[int], forces: Sequence[Bonded] | None, masses: Array | None
+) -> tuple[list[Springs], OfPairs, Array]:
+    """Return the bonds or angles of each force, the distances of particles, and inverse masses."""
     if forces is None:
         forces = [Bonded.of(force) for force in system.getForces() if isinstance(force, _SPRINGS)]
     bonds = [(of.force.getForceGroup() in groups, *found) for of in forces if (found := _bonds(of)) is not None]
     held = parameters.constraints(system)
-    constrained = _Lengths(*held).has
+    constrained = OfPairs(*held).has
     by_group = sorted(bonds, key=lambda bond: bond[0])  # bonds in the groups come last and override the others
     pairs, lengths = zip(held, *((particles, r) for _, particles, r, _ in by_group), strict=True)
-    known = _Lengths(np.concatenate(pairs), np.concatenate(lengths))
+    known = OfPairs(np.concatenate(pairs), np.concatenate(lengths))
     masses = parameters.masses(system) if masses is None else masses
     inverse = np.divide(1.0, masses, out=np.zeros_like(masses), where=masses != 0.0)  # 0 for frozen particles
-    for own, particles, _, strength in bonds:
+    found = []
+    for own, particles, length, strength in bonds:
         if own:
-            free = ~constrained(particles)
-            square = strength * inverse[particles].sum(axis=1)
-            yield np.sqrt(np.maximum(square, 0.0))[free], particles[free]
+            every = Springs(particles, length, strength, strength * inverse[particles].sum(axis=1))
+            found.append(every.chosen(~constrained(particles)))
     for of in forces:
         if of.force.getForceGroup() in groups and (angles := _angles(of)) is not None:
-            particles, square = angles[0], _squares(*angles, known, inverse)
-            free = ~constrained(particles[:, ::2]) & ~np.isnan(square)
-            yield np.sqrt(np.maximum(square[free], 0.0)), particles[free]
+            every = Springs(*angles, _squares(*angles, known, inverse))
+            found.append(every.chosen(~constrained(every.particles[:, ::2]) & ~np.isnan(every.square)))
+    return found, known, inverse
 
 
-class _Lengths:
-    """Distances of pairs of particles; later entries override earlier ones."""
-
-    def __init__(self, pairs: Indices, lengths: Array) -> None:
-        keys = self._keys(pairs)
-        order = np.argsort(keys, kind="stable")
-        self._sorted, self._values = keys[order], np.append(lengths[order], np.nan)
-
-    @staticmethod
-    def _keys(pairs: Indices) -> Indices:
-        return np.asarray((pairs.min(axis=1) << 32) + pairs.max(axis=1))
-
-    def of(self, pairs: Indices) -> Array:
-        """Return the distances of pairs, or nan for pairs without a known distance."""
-        place = np.searchsorted(self._sorted, keys := self._keys(pairs), side="right") - 1
-        return np.where(np.append(self._sorted, -1)[place] == keys, self._values[place], np.nan)
-
-    def has(self, pairs: Indices) -> NDArray[np.bool_]:
-        """Return a mask of the pairs that have a known distance."""
-        return ~np.isnan(self.of(pairs))
+def _joined(springs: Sequence[Springs], width: int) -> Springs:
+    """Return all bonds (of 2 particles) or angles (of 3) with a positive squared frequency."""
+    none = Springs(np.zeros((0, width), np.intp), *(np.zeros(0) for _ in range(3)))
+    some = [of.chosen(of.square > 0.0) for of in springs if of.particles.shape[1] == width]
+    return Springs(*map(np.concatenate, zip(none, *some, strict=True)))
 
 
-def _squares(particles: Indices, angle: Array, strength: Array, known: _Lengths, inverse: Array) -> Array:
+def _squares(particles: Indices, angle: Array, strength: Array, known: OfPairs, inverse: Array) -> Array:
     """Return the squared frequencies of angles, or nan if the length of a bond is unknown."""
     i, j, k = particles.T
     a, b = (known.of(particles[:, own]) for own in ([0, 1], [2, 1]))
