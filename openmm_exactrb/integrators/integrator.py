@@ -64,13 +64,15 @@ class ExactRigidBodyIntegrator(Copied, OwnProgram, BathAccess, openmm.CustomInte
         Forces that are integrated with inner steps within the drifts. "bonded" selects bonds, angles, torsions and
         pairs three bonds apart; a sequence selects force groups by number. The other forces, which usually determine
         the cost, are evaluated as often as without inner steps. "auto" selects bonded forces if the time between force
-        evaluations exceeds a sixteenth of the shortest period of bonds and angles. None means no inner steps.
+        evaluations exceeds a sixteenth of the shortest vibrational period. None means no inner steps.
     inner : str or Scheme, optional
         Scheme of the inner steps; by default S2_2, or SRKN4_6b if the scheme has an order above 2 or force gradients.
+        In schemes that contain a heat exchange, it is S2_2 with kicks of 0.198 in place of 0.193, or S2_4 if drifts
+        have unequal lengths.
     innerSteps : int, optional
-        Number of inner steps per step, at least one for each drift. The default gives at least 20 evaluations of bonded
-        forces per shortest period of bonds and angles, at least 12.5 in schemes that contain a heat exchange, and at
-        least 80 with SRKN4_6b.
+        Number of inner steps per step, at least one for each drift. The default gives at least 16 evaluations of bonded
+        forces per shortest vibrational period, 64 with SRKN4_6b, and in schemes that contain a heat exchange 8.4, or
+        7.5 with S2_4.
     engine : {"auto", "host", "native"}, optional
         What performs the steps. "host" means Python on the CPU. "native" means kernels on the device of the
         Platform (CUDA, HIP or OpenCL) or, for Reference and CPU, in the package's C++ library (see "On a GPU" in the

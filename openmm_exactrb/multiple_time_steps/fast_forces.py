@@ -16,23 +16,28 @@ from openmm_exactrb.multiple_time_steps.bonded import acting, groups_of, others
 from openmm_exactrb.multiple_time_steps.excerpt import Excerpt, bonded_excerpt
 from openmm_exactrb.multiple_time_steps.stiffness import LIBRATION, fastest
 from openmm_exactrb.schemes.catalogue import scheme as look_up
-from openmm_exactrb.schemes.scheme import Scheme
+from openmm_exactrb.schemes.scheme import Scheme, symmetric
 from openmm_exactrb.steps.substeps import DRIFT, KICK, Drift, GradientKick, HeatExchange, Kick
 from openmm_exactrb.support.checks import whole
 from openmm_exactrb.support.messages import shown
 from openmm_exactrb.support.types import Array
 from openmm_exactrb.support.warn import warn
 
-# Inner schemes, and the longest time between two kicks by the fast forces as a fraction of the period of the fastest
-# bond or angle. The pairs are for outer schemes of order 2, for those of higher order or with force gradients, and for
-# those of order 2 with a heat exchange within the step. High-order outer schemes need a finer inner scheme: with S2_2,
-# or with SRKN4_6b at 20 kicks per period, the error of the inner steps dominated at 2000 outer force evaluations per ps
-# (docs: Any molecule). Schemes with a heat exchange within the step are used for averages, on which the energy error
-# has less effect. With the fraction 0.08, the mean energy of the fastest bond is 0.5 % too low, and the mean energies
-# of other bonds deviate less.
-_SECOND_ORDER, _HIGHER_ORDER, _WITH_HEAT_EXCHANGE = ("S2_2", 0.05), ("SRKN4_6b", 0.0125), ("S2_2", 0.08)
-# The longest time between force evaluations, as a fraction of the fastest period, at which every scheme without inner
-# steps converges with its order and has a small error. This time is 1.5 fs if bonds to hydrogen are constrained,
+# Inner schemes, and the longest time between two kicks by the fast forces as a fraction of the shortest period of the
+# normal modes. The pairs are for outer schemes of order 2, for those of higher order or with force gradients, and for
+# those of order 2 with a heat exchange within the step, whose drifts have equal or unequal lengths. High-order outer
+# schemes need a finer inner scheme: with S2_2, or with SRKN4_6b at 16 kicks per period, the error of the inner steps
+# dominated at 2000 outer force evaluations per ps (docs: Any molecule). Schemes with a heat exchange within the step
+# are used for averages. With 0.198 in place of the 0.193 of S2_2, the mean energies of the bonds and of the angles of a
+# protein have errors of opposite signs of at most 0.15 %, and the energy of a mode has one of at most 1.8 %. Drifts of
+# unequal lengths are different maps for the same mode, and the exchange of energy between the maps is driven near
+# multiples of half a period. S2_4 is nearly exact there, at the cost of two steps of S2_2
+# (benchmarks/proteins/inner_energies.py).
+_BETWEEN_EXCHANGES = symmetric("S2_2 with b = 0.198", order=2, stages=2, first="kick", b=(0.198,))
+_SECOND_ORDER, _HIGHER_ORDER = ("S2_2", 1.0 / 16.0), ("SRKN4_6b", 1.0 / 64.0)
+_EQUAL_DRIFTS, _UNEQUAL_DRIFTS = (_BETWEEN_EXCHANGES, 1.0 / 8.4), ("S2_4", 1.0 / 7.5)
+# The longest time between force evaluations, as a fraction of the shortest period, at which every scheme without inner
+# steps converges with its order and has a small error. This time is 1.2 fs if bonds to hydrogen are constrained,
 # otherwise 0.6 fs.
 _LONGEST_PLAIN = 1.0 / 16.0
 
@@ -57,7 +62,7 @@ class MultipleTimeSteps:
     scheme : Scheme or None
         Scheme of the inner steps; None for the default of the outer scheme.
     steps : int or None
-        Number of inner steps per step; None for the number that the fastest bonds need.
+        Number of inner steps per step; None for the number that the fastest normal mode needs.
     """
 
     fast: str | tuple[int, ...]
@@ -122,7 +127,7 @@ class FastForces:
     ----------
     settings : MultipleTimeSteps
     frequency : float
-        The highest frequency of the fast forces, in 1/ps.
+        The highest frequency of the normal modes of the fast forces, in 1/ps.
     excerpt : Excerpt or None
         The bonded forces if these are fast, or None if the fast forces are defined by force groups.
     """
@@ -179,11 +184,13 @@ class FastForces:
         return known and abs(h) / outer.stages * self.frequency / (2.0 * math.pi) > _LONGEST_PLAIN
 
 
-def _usual(outer: Scheme) -> tuple[str, float]:
+def _usual(outer: Scheme) -> tuple[str | Scheme, float]:
+    """Return the default inner scheme of an outer scheme, and the longest time between two of its kicks in periods."""
     if outer.order > 2 or outer.has_gradients:
         return _HIGHER_ORDER
-    within = any(isinstance(substep, HeatExchange) for substep, _ in outer.sequence)
-    return _WITH_HEAT_EXCHANGE if within else _SECOND_ORDER
+    if not any(isinstance(substep, HeatExchange) for substep, _ in outer.sequence):
+        return _SECOND_ORDER
+    return _EQUAL_DRIFTS if len(set(outer.a)) == 1 else _UNEQUAL_DRIFTS
 
 
 def fast_forces(
