@@ -65,7 +65,7 @@ def all_tables() -> dict[str, str]:
         *(tables.outputs, tables.validation, tables.ensembles, tables.earlier_schemes, tables.scheme_table),
         *(tables.protein_energies, of_water.box_energies, of_water.droplet_energies),
         *(of_water.energy_balances, of_water.reading_points, of_water.equal_costs, of_water.shadow_predictions),
-        *(of_water.energy_drifts, of_water.settings_of_forces, of_proteins.peptide_errors),
+        *(of_water.energy_drifts, of_water.settings_of_forces, of_proteins.peptide_errors, of_proteins.inner_steps),
         *(of_schemes.roundoff_errors, of_schemes.heat_exchanges, of_schemes.small_potentials, small_molecules),
         *(of_schemes.droplets_of_models, of_schemes.droplet_growth, of_schemes.oscillator_errors),
         *(of_water.averages, corrected_steps, corrected_water, corrected_water_agreement, droplet_averages, tip4p2005),

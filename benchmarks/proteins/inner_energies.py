@@ -23,7 +23,7 @@ import argparse
 import itertools
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache
 from operator import itemgetter
 from pathlib import Path
@@ -36,7 +36,7 @@ from openmm import app, unit
 import openmm_exactrb as rb
 from benchmarks.common.proteins import FORCE_FIELD, PEPTIDE
 from benchmarks.common.provenance import OF_RUN, of_run
-from benchmarks.common.records import DOCS, Record, Row
+from benchmarks.common.records import RECORDS, Record, Row
 from benchmarks.common.starts import R, masses_of, simulation_of
 from benchmarks.proteins import protein_steps
 from benchmarks.proteins.peptide_populations import places
@@ -146,22 +146,27 @@ def sampled(
     return {**means, "drift": drift, "ms": 1000.0 * spent / (len(samples) * every * step / interval)}
 
 
-def summary(rows: dict[tuple[str, ...], Row]) -> Iterator[str]:
-    """Yield the means of each point, and the deviations in % from the row with most inner steps."""
-    by_run = sorted(rows.values(), key=itemgetter(*RUN))
-    for point, some in itertools.groupby(by_run, itemgetter(*RUN[:5])):
+def summary(rows: Iterable[Row]) -> Iterator[str]:
+    """Yield the deviations of each point from that with the most inner steps, and the energy drifts."""
+    for point, name, runs, changes in deviations(rows):
+        found = "  ".join(f"{kind} {change:+.2f} +- {error:.2f} %" for kind, (change, error) in changes.items())
+        drift, its_error = mean_of(runs, "drift")
+        yield f"{' '.join(point)} {name}, {len(runs)} runs: {found}  drift {drift:.4f} +- {its_error:.4f}"
+
+
+def deviations(
+    rows: Iterable[Row],
+) -> Iterator[tuple[tuple[str, ...], str, list[Row], dict[str, tuple[float, float]]]]:
+    """Yield point, inner splitting, runs, and deviations of means in % with their errors from the most inner steps."""
+    for point, some in itertools.groupby(sorted(rows, key=itemgetter(*RUN)), itemgetter(*RUN[:5])):
         by_inner = {name: [*runs] for name, runs in itertools.groupby(some, itemgetter("inner"))}
-        reference = max((name for name in by_inner if name[-1] != ":"), key=lambda name: int(name.split(":")[1]))
-        yield f"{' '.join(point)}, relative to {reference}"
+        most = by_inner[max(by_inner, key=lambda name: int(name.split(":")[1] or 0))]
         for name, runs in by_inner.items():
-            found = []
-            for what in (*KINDS, "T"):
-                (mean, error), (true, of_true) = (mean_of(each, what) for each in (runs, by_inner[reference]))
-                found.append(
-                    f"{what} {100.0 * (mean / true - 1.0):+.2f}({100.0 * math.hypot(error, of_true) / true:.2f})"
-                )
-            drift, its_error = mean_of(runs, "drift")
-            yield f"    {name:12} {len(runs)} runs  {'  '.join(found)}  drift {drift:.4f} +- {its_error:.4f}"
+            changes = {}
+            for kind in (*KINDS, "T"):
+                (mean, error), (true, its_error) = mean_of(runs, kind), mean_of(most, kind)
+                changes[kind] = 100.0 * (mean / true - 1.0), 100.0 * math.hypot(error, its_error) / true
+            yield point, name, runs, changes
 
 
 def mean_of(rows: list[Row], name: str) -> tuple[float, float]:
@@ -188,7 +193,7 @@ def parse() -> argparse.Namespace:
     add("--runs", type=int, default=8, help="runs a point, each with its own seed (%(default)s)")
     add("--picoseconds", type=float, default=100.0, help="length of a run (%(default)s)")
     add("--workers", type=int, default=1, help="processes (%(default)s)")
-    add("--record", type=Path, default=DOCS / "inner_energies.csv", metavar="CSV", help="%(default)s")
+    add("--record", type=Path, default=RECORDS / "inner_energies.csv", metavar="CSV", help="%(default)s")
     add("--finished", action="store_true", help="run nothing: means and errors")
     return parser.parse_args()
 
@@ -207,7 +212,7 @@ def main() -> None:
         if result.error is not None:
             raise SystemExit(result.error)
         record.add(jobs[result.job] | result.value | {name: f"{result.value[name]:.7g}" for name in MEASURED})
-    print("\n".join(summary(record.rows())))
+    print("\n".join(summary(record.rows().values())))
 
 
 if __name__ == "__main__":

@@ -1,8 +1,9 @@
-"""Tables of peptide.py."""
+"""Tables of peptide.py and inner_energies.py."""
 
 from __future__ import annotations
 
-from benchmarks.common.markdown import distinct, rows, table
+from benchmarks.common.markdown import distinct, rows, table, with_error
+from benchmarks.proteins.inner_energies import deviations
 
 _PEPTIDE = {
     "Verlet": "`VerletIntegrator`",
@@ -30,3 +31,19 @@ def peptide_errors() -> str:
 def _both(*errors: str) -> str:
     numbers = [float(error) for error in errors]
     return "diverges" if max(numbers) > 1e3 else ", ".join(f"{number:.2g}" for number in numbers)
+
+
+def inner_steps() -> str:
+    """Return by how many percent mean energies differ from those with many inner steps, with BAOA at 8 fs."""
+    body = []
+    for (solute, constraints, integrator, _, friction), inner, runs, changes in deviations(rows("inner_energies")):
+        if integrator != "BAOA" or friction == "0.0":
+            continue
+        name, steps = inner.split(":")
+        splitting = f"`S2_2` with {name.replace('=', ' = ')}" if "=" in name else f"`{name}`"
+        cells = (with_error(*changes[kind], 2) for kind in ("bonds", "angles", "torsions"))
+        length = f"{len(runs)} x {float(runs[0]['picoseconds']):g} ps"
+        body.append((f"{solute}, `{constraints}`", splitting, f"{2 * int(steps)}", length, *cells))
+    return table(
+        ("", "inner scheme", "bonded evaluations per force", "", "bonds (%)", "angles (%)", "torsions (%)"), body
+    )
