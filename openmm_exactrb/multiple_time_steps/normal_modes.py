@@ -59,7 +59,7 @@ class Springs(NamedTuple):
 
     def chosen(self, which: NDArray[np.bool_]) -> Springs:
         """Return those that a mask (n,) selects."""
-        return Springs(*(values[which] for values in self))
+        return Springs(self.particles[which], self.coordinate[which], self.strength[which], self.square[which])
 
 
 def highest(bonds: Springs, angles: Springs, distances: OfPairs, inverse: Array) -> float:
@@ -95,7 +95,8 @@ def highest(bonds: Springs, angles: Springs, distances: OfPairs, inverse: Array)
     matrix: Any = (expansion @ _scalar_products(places, angles, distances) @ expansion.T).tocoo()
     i, j = matrix.coords
     bound = np.sqrt(square[i] * square[j])
-    matrix.data = np.where(i == j, square[i], np.clip(matrix.data, -bound, bound))
+    matrix.data = np.where(i == j, 0.0, np.clip(matrix.data, -bound, bound))
+    matrix = matrix + sparse.diags_array(square)
     if len(square) <= _FEW:
         return float(np.sqrt(np.linalg.eigvalsh(matrix.toarray())[-1]))
     start = np.random.default_rng(0).random(len(square))

@@ -72,16 +72,16 @@ def _springs(
     known = OfPairs(np.concatenate(pairs), np.concatenate(lengths))
     masses = parameters.masses(system) if masses is None else masses
     inverse = np.divide(1.0, masses, out=np.zeros_like(masses), where=masses != 0.0)  # 0 for frozen particles
-    found = []
+    springs = []
     for own, particles, length, strength in bonds:
         if own:
             every = Springs(particles, length, strength, strength * inverse[particles].sum(axis=1))
-            found.append(every.chosen(~constrained(particles)))
+            springs.append(every.chosen(~constrained(particles)))
     for of in forces:
         if of.force.getForceGroup() in groups and (angles := _angles(of)) is not None:
             every = Springs(*angles, _squares(*angles, known, inverse))
-            found.append(every.chosen(~constrained(every.particles[:, ::2]) & ~np.isnan(every.square)))
-    return found, known, inverse
+            springs.append(every.chosen(~constrained(every.particles[:, ::2]) & ~np.isnan(every.square)))
+    return springs, known, inverse
 
 
 def _joined(springs: Sequence[Springs], width: int) -> Springs:
