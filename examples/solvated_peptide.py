@@ -107,7 +107,7 @@ def draw(table: np.ndarray, file: Path) -> None:
 
 
 # %%
-# The number of bonded evaluations per step follows from the fastest bond or angle vibration; ``inner`` and
+# The number of bonded evaluations per step follows from the fastest vibration of bonds and angles; ``inner`` and
 # ``innerSteps`` override it.
 
 

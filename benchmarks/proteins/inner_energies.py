@@ -157,11 +157,13 @@ def summary(rows: Iterable[Row]) -> Iterator[str]:
 def deviations(
     rows: Iterable[Row],
 ) -> Iterator[tuple[tuple[str, ...], str, list[Row], dict[str, tuple[float, float]]]]:
-    """Yield point, inner splitting, runs, and deviations of means in % with their errors from the most inner steps."""
+    """Yield point, inner splitting, runs, and deviations of means in % from the most inner steps, with errors."""
     for point, some in itertools.groupby(sorted(rows, key=itemgetter(*RUN)), itemgetter(*RUN[:5])):
         by_inner = {name: [*runs] for name, runs in itertools.groupby(some, itemgetter("inner"))}
         most = by_inner[max(by_inner, key=lambda name: int(name.split(":")[1] or 0))]
         for name, runs in by_inner.items():
+            if runs is most and len(by_inner) > 1:
+                continue
             changes = {}
             for kind in (*KINDS, "T"):
                 (mean, error), (true, its_error) = mean_of(runs, kind), mean_of(most, kind)

@@ -67,7 +67,7 @@ class ExactRigidBodyIntegrator(Copied, OwnProgram, BathAccess, openmm.CustomInte
         evaluations exceeds a sixteenth of the shortest vibrational period. None means no inner steps.
     inner : str or Scheme, optional
         Scheme of the inner steps; by default S2_2, or SRKN4_6b if the scheme has an order above 2 or force gradients.
-        In schemes that contain a heat exchange, it is S2_2 with kicks of 0.198 in place of 0.193, or S2_4 if drifts
+        In schemes that contain a heat exchange, it is S2_2 with kicks of 0.198 instead of 0.193, or S2_4 if drifts
         have unequal lengths.
     innerSteps : int, optional
         Number of inner steps per step, at least one for each drift. The default gives at least 16 evaluations of bonded
