@@ -11,6 +11,7 @@ from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.steps.substeps import DRIFT, KICK, Drift, GradientKick, HeatExchange, Kick, LastForcesKick, Substep
 from openmm_exactrb.support.descriptions import mismatch, unperformed
 from openmm_exactrb.thermostats import HybridMonteCarlo, Langevin, NoseHooverChain, StochasticRescaling
+from products import spread_over
 
 ORIGINALS = {
     "drift": Drift("all"),
@@ -103,8 +104,7 @@ def integrator_of(thing, **arguments):
     return rb.ExactRigidBodyIntegrator(0.001, Scheme("mine", 2, rows), thermostat=thermostat, **arguments)
 
 
-@pytest.mark.parametrize("way", [*CLASSES, "instance"])
-@pytest.mark.parametrize(("name", "method"), ALONE)
+@spread_over({"name, method": ALONE, "way": [*CLASSES, "instance"]}, times=4)
 def test_one_of_two_descriptions_that_is_overridden_alone(name, method, way):
     """A new flow is left to the host, and new kernels without their flow are an error with every engine."""
     thing, kernel = overriding(way, ORIGINALS[name], method), KERNELS[name]
@@ -120,8 +120,7 @@ def test_one_of_two_descriptions_that_is_overridden_alone(name, method, way):
         assert (left.getEngine(), f"overrides {method}()" in left.engineNote()) == ("host", True)
 
 
-@pytest.mark.parametrize("way", [*CLASSES, "instance"])
-@pytest.mark.parametrize("name", ORIGINALS)
+@spread_over({"name": ORIGINALS, "way": [*CLASSES, "instance"]}, times=4)
 def test_both_descriptions_belong_together(name, way):
     for flow in FLOWS[name]:
         thing = overriding(way, ORIGINALS[name], flow, KERNELS[name])
