@@ -1,7 +1,8 @@
 """The library's kernels as functions of NumPy arrays, for the host engine and for free bodies.
 
 Without the library, the same functions exist in NumPy: `openmm_exactrb.rotors.closed_form`,
-`openmm_exactrb.constraints.geodesics` and `openmm_exactrb.multiple_time_steps.bonded_forces`.
+`openmm_exactrb.constraints.geodesics`, `openmm_exactrb.multiple_time_steps.bonded_forces` and
+`openmm_exactrb.random.philox`.
 """
 
 from __future__ import annotations

@@ -26,6 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from openmm_exactrb.library import functions
 from openmm_exactrb.random import philox
 from openmm_exactrb.support.types import Array
 
@@ -90,7 +91,11 @@ class Instant(NamedTuple):
         u = np.empty((_BLOCK * blocks, n))
         for block in range(blocks):
             rows = u[_BLOCK * block : _BLOCK * (block + 1)]
-            philox.uniforms(self.seed, self.step, self.substep * PURPOSES + purpose, first + block, rows)
+            instant = self.seed, self.step, self.substep * PURPOSES + purpose, first + block
+            if functions.available():
+                functions.call("uniforms", n, np.array(instant, dtype=np.int64), rows)
+            else:
+                philox.uniforms(*instant, rows)
         return u
 
 

@@ -148,3 +148,16 @@ extern "C" EXPORTED int pi_rotate(int n, int alike, int at_one_time, int sums, c
     }
     return left;
 }
+
+// Write four numbers in (0, 1) for each of n bodies, u (4, n); `instant` contains the seed, the step, the stream and the block
+// of openmm_exactrb.random.rng.
+extern "C" EXPORTED void pi_uniforms(int n, const long long* instant, double* u) {
+    using namespace exactrb;
+    Rigid<0> kernels{Constants()};
+    for (int body = 0; body < n; body++) {
+        mm_ulong words[4] = {(mm_ulong) body+1, (mm_ulong) instant[3], (mm_ulong) instant[2], (mm_ulong) instant[1]};
+        kernels.philox((mm_ulong) instant[0], words);
+        EACH(k, 4)
+            u[k*n+body] = kernels.uniform(words[k]);
+    }
+}
