@@ -2,6 +2,7 @@
 
 import _thread
 import gc
+import itertools
 import os
 import subprocess
 import sys
@@ -34,6 +35,15 @@ PLACES = [
 EVERYWHERE = pytest.mark.parametrize(("platform", "engine"), PLACES)
 WATER = rb.rigid_water(27)[1:]
 H = 0.002
+
+
+def atoms():
+    """Return a System of atoms without constraints in a trap, and their positions."""
+    system, trap = openmm.System(), openmm.CustomExternalForce("1000*(x^2+2*y^2+3*z^2)")
+    for _ in range(3):
+        trap.addParticle(system.addParticle(12.0))
+    system.addForce(trap)
+    return system, np.array([[0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.1]])
 
 
 def langevin(engine="auto", seed=5, **arguments):
@@ -131,9 +141,9 @@ def test_every_kind_of_dynamics_is_performed(name):
 
 @EVERYWHERE
 def test_a_part_at_constant_energy_continues_where_another_integrator_stopped(platform, engine):
-    for scheme in ("S2_2", "W2_1"):
+    for scheme, start in itertools.product(("S2_2", "W2_1"), (WATER, atoms())):
         compound = compound_of(rb.ExactRigidBodyIntegrator(H, scheme, engine=engine), openmm.VerletIntegrator(H))
-        context = moving(compound, platform)
+        context = moving(compound, platform, *start)
         compound.step(3)
         compound.setCurrentIntegrator(1)
         compound.step(4)
@@ -141,7 +151,7 @@ def test_a_part_at_constant_energy_continues_where_another_integrator_stopped(pl
         compound.setCurrentIntegrator(0)
         compound.step(3)
         fresh = rb.ExactRigidBodyIntegrator(H, scheme, engine=engine)
-        other = moving(fresh, platform)
+        other = moving(fresh, platform, *start)
         other.setPositions(middle.getPositions())
         other.setVelocities(middle.getVelocities())
         fresh.step(3)
