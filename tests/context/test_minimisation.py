@@ -8,6 +8,8 @@ from openmm import app
 import openmm_exactrb as rb
 import small_molecules
 from openmm_exactrb.errors import MinimisationWarning
+from openmm_exactrb.mathematics.quaternions import exponential, matrix, multiply, random
+from openmm_exactrb.mechanics.minimise import _along_turns
 from starts import context_of, positions_of, simulation_of
 
 
@@ -28,6 +30,22 @@ def spheres(distance, periodic=False):
     integrator = rb.ExactRigidBodyIntegrator(0.001)
     context = context_of(system, integrator, x)
     return context, integrator
+
+
+def test_the_gradient_along_a_turn_is_the_derivative_of_the_energy(rng):
+    """Of u . Q v, by finite differences, where the orientation is that of the start times the exponential of a turn."""
+    sizes = np.array([0.0, 1e-9, 1e-5, 1e-3, 0.1, 1.0, 3.0, 6.0])
+    q, turn, u, v = random(rng, len(sizes)).T, *rng.standard_normal((3, 3, len(sizes)))
+    turn *= sizes / np.linalg.norm(turn, axis=0)
+
+    def attitude(theta):
+        return matrix(multiply(q, exponential(theta)))
+
+    torque = -np.cross(v, np.einsum("ijn,in->jn", attitude(turn), u), axis=0)
+    for axis, h in enumerate(1e-5 * np.eye(3)[:, :, None]):
+        change = attitude(turn + h) - attitude(turn - h)
+        slope = np.einsum("in,ijn,jn->n", u, change, v) / 2e-5
+        np.testing.assert_allclose(-_along_turns(turn, torque)[axis], slope, rtol=0.0, atol=1e-8)
 
 
 @pytest.mark.parametrize("distance", [0.001, 0.0025, 0.0033, 0.01, 0.3])
