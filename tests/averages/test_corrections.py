@@ -172,6 +172,11 @@ def test_at_constant_pressure_averages_follow_the_pressure_at_a_fixed_volume(tmp
     ):
         found = rb.corrected(file, name)
         assert found.mean - found.correction == pytest.approx(exact, abs=4.0 * found.error)
+    values = read(file)[1]
+    off = values["potential"] + values["volume"] / BAR
+    off -= off.mean()
+    by_hand = rb.corrected(file, off**2 / (KT * 300.0), -2.0 * off * values["work"] / (KT * 300.0))
+    assert rb.corrected(file, "heat capacity").correction == pytest.approx(by_hand.correction, rel=1e-6)
     density = rb.corrected(file, "density")
     assert density.correction / density.mean == pytest.approx(-volume.correction / volume.mean, rel=1e-2)
 
