@@ -58,6 +58,22 @@ def test_one_call_is_as_many_calls_with_a_barostat_too():
         np.testing.assert_array_equal(a, b)
 
 
+@pytest.mark.parametrize("engine", ["host", "native"])
+def test_frozen_particles_stay_where_the_barostat_moves_them(engine):
+    """At the same fraction of the edges of the box."""
+    integrator = rb.ExactRigidBodyIntegrator(0.002, "S2_2", engine=engine)
+    context = ideal_gas(integrator, 10.0, ions=6)
+    x = positions_of(context)
+    x[0] = 1.5, 3.0, 4.5
+    context.setPositions(x)
+    context.getSystem().setParticleMass(0, 0.0)
+    context.reinitialize(preserveState=True)
+    integrator.step(20)
+    edge = context.getState().getPeriodicBoxVectors()[0][0]._value
+    assert edge != 6.0
+    np.testing.assert_allclose(positions_of(context)[0] / edge, [0.25, 0.5, 0.75], rtol=1e-12)
+
+
 def test_an_ideal_gas_has_the_volume_of_its_law():
     """<V> = (N + 1) kT / P, at the temperature of the thermostat."""
     n, pressure = 40, 20.0
