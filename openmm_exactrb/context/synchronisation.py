@@ -196,6 +196,10 @@ class Synchronisation:
         system = self.context.getSystem()
         return np.array([i for i in np.flatnonzero(self.bodies.owner < 0) if not system.isVirtualSite(int(i))], np.intp)
 
+    def _fixed_moved(self) -> bool:
+        """Return whether massless particles have moved since the last synchronisation, as `pull` will notice."""
+        return bool(len(self._fixed)) and bool((self.held()[0] != self.particles)[self._fixed].any())
+
     def _joined(self, x: Array) -> Array:
         """Return positions in which molecules are whole; raise ValueError if a massless particle has no position."""
         lost = self._fixed[~np.isfinite(x[self._fixed]).all(axis=1)]
@@ -277,7 +281,8 @@ class Synchronisation:
         if not self._written or self.inner is None:
             return
         integrator = self._integrator()
-        if self.inner.fingerprint == self.fingerprint(self.context) and self._outdated_here(self.inner):
+        here = self.inner.fingerprint == self.fingerprint(self.context)
+        if self._fixed_moved() or (here and self._outdated_here(self.inner)):
             self.inner = None
             return
         self._storage.write(self.inner.state, variables.INNER)

@@ -165,7 +165,9 @@ class NativeState(Synchronisation):
         """Save a sum of the forces to which an inner state belongs; OpenMM saves the arrays that contain the state."""
         if not self._machine["inner"]:
             return
-        if self.context.getSystem().getNumForces() == self._n_forces:
+        if self._machine.changes() & SET and self._fixed_moved():
+            self._discard_inner()
+        elif self.context.getSystem().getNumForces() == self._n_forces:
             save_forces(self.context, self._integrator())
         else:  # OpenMM cannot evaluate forces before `reinitialize`
             self._discard_inner()
