@@ -24,11 +24,6 @@ def rooms() -> dict[str, set[str]]:
     return {name: _imported(name) & names - {name} for name in sorted(names)}
 
 
-def lines(room: str) -> int:
-    """Return the number of lines of a room, kernel texts and C++ included."""
-    return sum(len(file.read_text(encoding="utf-8").splitlines()) for file in _files(room))
-
-
 def floors() -> list[list[str]]:
     """Return the rooms by floor, the ground floor first: a room stands above all that it imports."""
     imports, found = rooms(), list[list[str]]()
@@ -49,7 +44,7 @@ def svg() -> str:
     parts, places = list[str](), dict[str, tuple[float, float, float]]()
     for floor, names in enumerate(rows):
         top = height - _FLOOR * (floor + 1)
-        widths = [max(10.3 * len(f"{name} {lines(name)}") + 18, 60) for name in names]
+        widths = [max(10.3 * len(name) + 22, 60) for name in names]
         left = (_WIDTH - sum(widths) - _GAP * (len(names) - 1)) / 2
         for name, width in zip(names, widths, strict=True):
             places[name] = left, top, width
@@ -63,9 +58,7 @@ def svg() -> str:
     for name, (x, y, width) in places.items():
         kind = "core" if name in _CORE else "room"
         parts.append(f'<rect class="{kind}" x="{x:.0f}" y="{y:.0f}" width="{width:.0f}" height="{_HEIGHT}" rx="5"/>')
-        parts.append(
-            f'<text x="{x + width / 2:.0f}" y="{y + 22:.0f}"><tspan class="name">{name}</tspan> {lines(name)}</text>'
-        )
+        parts.append(f'<text x="{x + width / 2:.0f}" y="{y + 22:.0f}"><tspan class="name">{name}</tspan></text>')
     return "\n".join((_HEAD.format(width=_WIDTH, height=height), *parts, "</svg>", ""))
 
 

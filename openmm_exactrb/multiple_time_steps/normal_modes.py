@@ -160,7 +160,8 @@ def _cosines(vectors: Indices, pairs: Indices, angles: Springs, distances: OfPai
     by_terms = OfPairs(of_terms, np.cos(angles.coordinate)).of(of_vectors[pairs])
     a, b = distances.of(vectors)[pairs].T
     c = distances.of(vectors[pairs, 1])
-    by_distances = np.clip((a * a + b * b - c * c) / (2.0 * a * b), -1.0, 1.0)
+    with np.errstate(all="ignore"):  # a bond of no length has no direction
+        by_distances = np.clip((a * a + b * b - c * c) / (2.0 * a * b), -1.0, 1.0)
     found = np.where(np.isnan(by_terms), by_distances, by_terms)
     return np.where((of_vectors[pairs[:, 0]] == of_vectors[pairs[:, 1]]) | np.isnan(found), 1.0, found)
 

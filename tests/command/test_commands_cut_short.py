@@ -93,7 +93,7 @@ def test_ctrl_c_in_the_equilibration_is_one_line(run, tmp_path, heard, capsys):
     wait(process, (tmp_path / "out").exists)
     process.send_signal(signal.SIGINT)
     said, errors = process.communicate()
-    assert process.returncode in STOPPED
+    assert process.returncode in STOPPED, errors
     assert said == ""
     assert errors_of(errors) == "exactrb run: SIGINT: stopped; to resume the run, repeat the command with --resume\n"
     assert carry_out(capsys, *run, *BRIEF, "--resume")[0] == 0
@@ -104,7 +104,7 @@ def test_ctrl_c_in_a_tuning_is_one_line(serialised, heard):
     told = next(line for line in process.stderr if errors_of(line))
     process.send_signal(signal.SIGINT)
     said, errors = process.communicate()
-    assert process.returncode in STOPPED
+    assert process.returncode in STOPPED, errors
     assert said == ""
     assert "errors hold for 1e+03 ps" in told
     assert errors.splitlines()[-1] == "exactrb tune: SIGINT: stopped"

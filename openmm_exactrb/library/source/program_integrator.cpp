@@ -48,13 +48,15 @@ std::atomic<long long> created(0);
 thread_local string lastError;
 thread_local bool interrupted = false;  // whether a signal has interrupted Python in its main thread
 
-// Call Python, and throw the error that the call ends with. After an interruption, the signal is repeated, so that Python
-// raises KeyboardInterrupt as soon as it runs again.
+// Call Python, and throw the error that the call ends with, which is 1. After an interruption, the signal is repeated, so that
+// Python raises KeyboardInterrupt as soon as it runs again. ctypes returns another number if an interruption precedes the
+// first instruction of the function.
 template <class Call> void callPython(Call call) {
     interrupted = false;
-    if (call() == 0)
+    const int ending = call();
+    if (ending == 0)
         return;
-    if (!interrupted)
+    if (ending == 1 && !interrupted)
         throw OpenMMException(lastError);
     std::raise(SIGINT);
 }
