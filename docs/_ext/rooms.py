@@ -11,8 +11,6 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "openmm_exactrb"
 PICTURE = ROOT / "docs" / "pictures" / "rooms.svg"
-#: Texts that count as lines of a room.
-_SUFFIXES = (".py", ".cl", ".cpp", ".h")
 _WIDTH, _HEIGHT, _GAP, _FLOOR = 1000, 34, 14, 62
 _CORE = {"constraints", "mechanics", "random", "rotors", "schemes", "steps", "thermostats"}
 
@@ -66,15 +64,13 @@ def _files(room: str) -> list[Path]:
     folder = PACKAGE / room
     if not folder.is_dir():
         return [folder.with_suffix(".py")]
-    return [file for file in sorted(folder.rglob("*")) if file.suffix in _SUFFIXES]
+    return sorted(folder.rglob("*.py"))
 
 
 def _imported(room: str) -> set[str]:
     """Return the second parts of the names of the modules that a room imports."""
     found = set[str]()
     for file in _files(room):
-        if file.suffix != ".py":
-            continue
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             if isinstance(node, ast.ImportFrom) and node.module == "openmm_exactrb":
                 found |= {alias.name for alias in node.names}

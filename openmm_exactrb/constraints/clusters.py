@@ -257,15 +257,13 @@ class Clusters:
 
     def _by_library(self, state: ClusterState, tau: float) -> ClusterState:
         """Return the state after free motion over a time, or only with projected momenta for ``tau=0.0``."""
-        tables, mass = self._tables, self.mass[self._order]
-        of_clusters = tables["clusters"], tables["graphs"], 1.0 / mass, tables["lengths"]
         sums = state if len(state.x) == 2 else ClusterState(*map(exactly, (state.x[0], state.p[0])))
         after = ClusterState(np.empty(sums.x.shape), np.empty(sums.p.shape))
         with np.errstate(all="ignore"):  # what is not finite stays in its own cluster
             # The kernel's arrays are (M, 3, 2), ordered by cluster, and velocities have the place of momenta.
             x, v = (np.ascontiguousarray(a[:, :, self._order].T) for a in (sums.x, quotient(sums.p, self.mass)))
-            functions.call("move_clusters", len(of_clusters[0]), float(tau), *of_clusters, x, v)
-            after.p[:, :, self._order] = times(mass, (v[..., 0].T, v[..., 1].T))
+            functions.call("move_clusters", len(self), float(tau), *self._tables, x, v)
+            after.p[:, :, self._order] = times(self.mass[self._order], (v[..., 0].T, v[..., 1].T))
         after.x[:, :, self._order] = x.T
         return ClusterState(*(a[: len(state.x)] for a in after))
 
@@ -275,14 +273,15 @@ class Clusters:
         return np.concatenate([np.empty(0, np.int64), *(columns.ravel() for _, columns in self.columns())])
 
     @cached_property
-    def _tables(self) -> dict[str, NDArray[Any]]:
-        """The kernel's tables of all clusters."""
+    def _tables(self) -> tuple[NDArray[Any], ...]:
+        """The kernel's tables of clusters and graphs, inverse masses and lengths."""
         sizes = np.repeat(*np.array([kind.particles.shape[::-1] for kind in self.kinds]).T)
         groups, first = list[tuple[Group, Indices]](), 0
         for kind in self.kinds:
             groups.append((Group(kind.particles, kind.graph), first + np.arange(len(kind.particles))))
             first += len(kind.particles)
-        return arrays(np.cumsum([0, *sizes])[:-1], sizes, groups, shared=True)[0]
+        made, _ = arrays(np.cumsum([0, *sizes])[:-1], sizes, groups, shared=True)
+        return made["clusters"], made["graphs"], 1.0 / self.mass[self._order], made["lengths"]
 
 
 def _anywhere(n: int) -> Array:

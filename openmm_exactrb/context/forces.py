@@ -149,10 +149,7 @@ class ContextForces(EvaluatedForces):
     def _count(self, start: float) -> None:
         """Count an evaluation that started at the given time."""
         self._timings.forces += time.perf_counter() - start
-        self._add_evaluations(1)
-
-    def _add_evaluations(self, n: int) -> None:
-        setattr(self._timings, self._counter, getattr(self._timings, self._counter) + n)
+        setattr(self._timings, self._counter, getattr(self._timings, self._counter) + 1)
 
 
 class SlowGroups(ContextForces):

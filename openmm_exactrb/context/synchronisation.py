@@ -180,7 +180,7 @@ class Synchronisation:
             moved, pushed = (_differs(self.bodies, *pair) for pair in zip((x, v), seen, strict=True))
             state = self._refitted(self.state, self._joined(x), v, moved, pushed)
             self._follow(self.state, state)
-        if (x != self.particles)[self._fixed].any():
+        if self._elsewhere(x):
             self.inner = None  # its forces were those of other positions of these particles
         self.state = state
         self.positions.moved()
@@ -198,7 +198,11 @@ class Synchronisation:
 
     def _fixed_moved(self) -> bool:
         """Return whether massless particles have moved since the last synchronisation, as `pull` will notice."""
-        return bool(len(self._fixed)) and bool((self.held()[0] != self.particles)[self._fixed].any())
+        return bool(len(self._fixed)) and self._elsewhere(self.held()[0])
+
+    def _elsewhere(self, x: Array) -> bool:
+        """Return whether massless particles have other positions than at the last synchronisation."""
+        return bool((x != self.particles)[self._fixed].any())
 
     def _joined(self, x: Array) -> Array:
         """Return positions in which molecules are whole; raise ValueError if a massless particle has no position."""

@@ -7,11 +7,10 @@ from typing import Any, Unpack
 from openmm import unit
 
 from openmm_exactrb.integrators.thermostatted import Options, ThermostattedIntegrator
+from openmm_exactrb.openmm_access.units import RATE
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.thermostats.langevin import Langevin
-
-_RATE = unit.picosecond**-1
 
 
 class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
@@ -84,7 +83,7 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
 
     def getFriction(self) -> unit.Quantity:
         """Return the friction of translation."""
-        return self._thermostat.frictions[0] * _RATE
+        return self._thermostat.frictions[0] * RATE
 
     def setFriction(self, coeff: float | unit.Quantity) -> None:
         """Set the friction of translation (and of rotation, unless set separately), in 1/ps if it has no unit."""
@@ -92,7 +91,7 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
 
     def getRotationalFriction(self) -> unit.Quantity:
         """Return the friction of rotation."""
-        return self._thermostat.frictions[1] * _RATE
+        return self._thermostat.frictions[1] * RATE
 
     def setRotationalFriction(self, coeff: float | unit.Quantity | None) -> None:
         """Set the friction of rotation, in 1/ps if it has no unit; None means the friction of translation."""
@@ -100,7 +99,7 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
 
     def getFlexibleFriction(self) -> unit.Quantity:
         """Return the translational friction of molecules of more than one body."""
-        return self._thermostat.flexible_frictions[0] * _RATE
+        return self._thermostat.flexible_frictions[0] * RATE
 
     def setFlexibleFriction(self, coeff: float | unit.Quantity | None) -> None:
         """Set the friction of molecules of more than one body, in 1/ps if it has no unit; None restores the default."""

@@ -3,7 +3,7 @@
 A million small steps of free motion in double-doubles accumulate no more roundoff than a single large step. An array of
 double-doubles has the shape (2, ...): ``x[0]`` is the number rounded to float64, and ``x[1]`` is the rounding error.
 
-`two_sum` and the functions that follow it are error-free transformations of arrays and, in compiled code, of scalars.
+`two_sum` and the functions that follow it are error-free transformations of arrays and of numbers.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from openmm_exactrb.mathematics.constants import TO_GRID
 from openmm_exactrb.support.types import Array
 
-#: An array, or in compiled code a scalar.
+#: An array or a number.
 Numbers: TypeAlias = Any
 
 
@@ -25,7 +25,7 @@ def multiply(p: Array, q: Array) -> Array:
 def product(
     p0: Numbers, p1: Numbers, p2: Numbers, p3: Numbers, q0: Numbers, q1: Numbers, q2: Numbers, q3: Numbers
 ) -> tuple[Numbers, ...]:
-    """Return the components of the product p q, for arrays or, in compiled code, for scalars."""
+    """Return the components of the product p q, for arrays or for numbers."""
     return (
         p0 * q0 - p1 * q1 - p2 * q2 - p3 * q3,
         p0 * q1 + p1 * q0 + p2 * q3 - p3 * q2,
@@ -74,16 +74,17 @@ def rotation_matrix(q: ArrayLike) -> Array:
 
 def matrix(q: Array) -> Array:
     """Return the rotation matrices (3, 3, ...) of component-first unit quaternions (4, ...)."""
-    return np.array(matrix_entries(*q)).reshape(3, 3, *q.shape[1:])
-
-
-def matrix_entries(w: Numbers, x: Numbers, y: Numbers, z: Numbers) -> tuple[Numbers, ...]:
-    """Return the nine entries of a rotation matrix row by row, for arrays or, in compiled code, for scalars."""
+    w, x, y, z = q
     x2, y2, z2 = x + x, y + y, z + z
     xx, yy, zz = x * x2, y * y2, z * z2
     xy, xz, yz = x * y2, x * z2, y * z2
     wx, wy, wz = w * x2, w * y2, w * z2
-    return 1.0 - (yy + zz), xy - wz, xz + wy, xy + wz, 1.0 - (xx + zz), yz - wx, xz - wy, yz + wx, 1.0 - (xx + yy)
+    rows = (
+        (1.0 - (yy + zz), xy - wz, xz + wy),
+        (xy + wz, 1.0 - (xx + zz), yz - wx),
+        (xz - wy, yz + wx, 1.0 - (xx + yy)),
+    )
+    return np.array(rows)
 
 
 def from_matrix(Q: Array) -> Array:

@@ -110,16 +110,12 @@ class DivergenceCheck:
         def check(state: State) -> None:
             P, m = state.P[0], state.m[0]
             mean = float((P * P).sum(axis=0) @ half_mass + (m * m * half_inertia).sum()) / len(bodies)
-            self.judge_inner_steps(mean)
+            if not mean <= self.hottest:  # also true for nan
+                raise IntegrationError(
+                    self._message(f"the mean kinetic energy in the inner steps is {mean:.3g} kJ/mol per body")
+                )
 
         return check
-
-    def judge_inner_steps(self, mean: float) -> None:
-        """Raise IntegrationError if the mean kinetic energy (kJ/mol) of bodies within inner steps exceeds `hottest`."""
-        if not mean <= self.hottest:  # also true for nan
-            raise IntegrationError(
-                self._message(f"the mean kinetic energy in the inner steps is {mean:.3g} kJ/mol per body")
-            )
 
     def leave(self, state: State) -> None:
         """Raise IntegrationError if the state at the end of a step shows that the run has diverged."""

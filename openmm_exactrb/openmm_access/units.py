@@ -10,6 +10,7 @@ from openmm_exactrb.support import checks
 
 #: OpenMM's unit of a force.
 FORCE = unit.kilojoule_per_mole / unit.nanometer
+RATE = unit.picosecond**-1
 
 
 def plain(value: Any, in_unit: unit.Unit, what: str) -> float:

@@ -15,11 +15,10 @@ from functools import lru_cache
 from typing import Any, ClassVar
 
 import numpy as np
-from openmm import unit
 
 from openmm_exactrb.context import variables
 from openmm_exactrb.mathematics.compensated import add
-from openmm_exactrb.openmm_access.units import gas_constant_times, kelvin
+from openmm_exactrb.openmm_access.units import RATE, gas_constant_times, kelvin
 from openmm_exactrb.openmm_access.units import not_negative as not_negative_quantity
 from openmm_exactrb.random.rng import Instant, Purpose
 from openmm_exactrb.steps.environment import Environment
@@ -27,7 +26,6 @@ from openmm_exactrb.support.descriptions import mismatch
 from openmm_exactrb.support.types import Array
 from openmm_exactrb.thermostats.thermostat import Exchange, Thermostat
 
-_RATE = unit.picosecond**-1
 # Number of different durations of a heat exchange for which factors are cached.
 _TIMES = 16
 _BACKWARD = "stepSize must be positive when friction is non-zero"
@@ -107,7 +105,7 @@ class Langevin(Thermostat):
 
 
 def _rate(friction: Any) -> float:
-    return not_negative_quantity(friction, _RATE, "a friction")
+    return not_negative_quantity(friction, RATE, "a friction")
 
 
 def ornstein_uhlenbeck(

@@ -16,18 +16,15 @@ from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
-from openmm import unit
 
 from openmm_exactrb.errors import IntegrationError
-from openmm_exactrb.openmm_access.units import gas_constant_times, kelvin, plain
+from openmm_exactrb.openmm_access.units import RATE, gas_constant_times, kelvin, plain
 from openmm_exactrb.random.rng import Instant
 from openmm_exactrb.steps.environment import Environment
 from openmm_exactrb.support.checks import switch, whole
 from openmm_exactrb.support.types import Array
 from openmm_exactrb.thermostats.rescaling import multiplication
 from openmm_exactrb.thermostats.thermostat import Exchange, Factors, Thermostat
-
-_RATE = unit.picosecond**-1
 
 _YOSHIDA = 1.0 / (2.0 - 2.0 ** (1.0 / 3.0))
 _SUZUKI = 1.0 / (4.0 - 4.0 ** (1.0 / 3.0))
@@ -75,7 +72,7 @@ class NoseHooverChain(Thermostat):
     scheme: ClassVar[str] = "BAOAB"  # symmetric in time, as the chains are
 
     def __post_init__(self) -> None:
-        frequency = plain(self.collisionFrequency, _RATE, "a collision frequency")
+        frequency = plain(self.collisionFrequency, RATE, "a collision frequency")
         object.__setattr__(self, "temperature", kelvin(self.temperature))
         object.__setattr__(self, "collisionFrequency", frequency)
         if not (self.temperature > 0.0 and frequency > 0.0 and frequency**2 > 0.0):

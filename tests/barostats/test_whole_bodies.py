@@ -12,7 +12,7 @@ from both_engines import begun, maker
 from peptides import in_box, violations
 from places import CPU
 from starts import context_of as reference_of
-from starts import held, positions_of, simulation_of
+from starts import held, periodic_water, positions_of, simulation_of
 from zoo import water
 
 
@@ -76,15 +76,6 @@ def test_after_a_checkpoint_a_barostat_moves_bodies_where_its_own_count_says(box
     now, after = centres(other)
     assert abs(after / volume - 1.0) > 1e-6
     np.testing.assert_allclose((now - was + 0.5) % 1.0, 0.5, rtol=0.0, atol=1e-4)  # thermal motion
-
-
-def periodic_water(n=216, **options):
-    settings = {
-        "nonbondedMethod": app.PME,
-        "nonbondedCutoff": 0.7 * unit.nanometer,
-        "switchDistance": 0.6 * unit.nanometer,
-    }
-    return rb.rigid_water(n, **(settings | options))
 
 
 def test_a_barostat_does_not_tear_bodies_named_by_hand():

@@ -9,20 +9,11 @@ from scipy import stats
 
 import openmm_exactrb as rb
 from places import CPU, REFERENCE
-from starts import positions_of, simulation_of, warm
+from starts import periodic_water, positions_of, simulation_of, warm
 
 pytestmark = pytest.mark.usefixtures("every_engine")
 
 # -- what OpenMM does beside us ---------------------------------------------------------------------------------
-
-
-def periodic_water(n=216, **options):
-    settings = {
-        "nonbondedMethod": app.PME,
-        "nonbondedCutoff": 0.7 * unit.nanometer,
-        "switchDistance": 0.6 * unit.nanometer,
-    }
-    return rb.rigid_water(n, **(settings | options))
 
 
 def test_a_shift_by_the_barostat_keeps_attitudes_to_the_bit():

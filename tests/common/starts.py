@@ -115,3 +115,13 @@ def force_of(system, kind=openmm.NonbondedForce):
     """Return the force of a kind, of which there is one."""
     (force,) = (force for force in system.getForces() if isinstance(force, kind))
     return force
+
+
+def periodic_water(n=216, **options):
+    """Return rigid water in a box, with PME and a switched cutoff unless options say otherwise."""
+    settings = {
+        "nonbondedMethod": app.PME,
+        "nonbondedCutoff": 0.7 * unit.nanometer,
+        "switchDistance": 0.6 * unit.nanometer,
+    }
+    return rb.rigid_water(n, **(settings | options))

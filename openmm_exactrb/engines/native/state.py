@@ -56,7 +56,7 @@ class NativeState(Synchronisation):
             state = State.of(fit(self.bodies, self._joined(x), v))
         else:
             state = self.compared(known, self._joined(x), v)
-        elsewhere = bool((x != self.particles)[self._fixed].any())
+        elsewhere = self._elsewhere(x)
         self.particles[:], self._v[:] = x, v
         self._take(known, state, elsewhere)
         rounded = self.state.rounded

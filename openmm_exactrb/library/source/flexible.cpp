@@ -122,9 +122,9 @@ extern "C" EXPORTED void pi_move_clusters(int clusters, double t, const int* tab
     kernels.move_clusters(t, row, 0, table, graphs, inverse, lengths, NULL, false, NULL, NULL, NULL, reinterpret_cast<number*>(x), reinterpret_cast<number*>(v));
 }
 
-// Add the forces of the terms of a kind to the sums of `atoms` atoms, and return whether a force is not finite. The columns
-// of terms are those of openmm_exactrb.multiple_time_steps.tables; positions (atoms, 3, 2) are numbers with their low parts.
-extern "C" EXPORTED int pi_add_forces(const char* kind, int terms, int atoms, int harmonics, double* x, const int* members, const double* of_terms,
+// Add the forces of the terms of a kind to the sums of `atoms` atoms. The columns of terms are those of
+// openmm_exactrb.multiple_time_steps.terms; positions (atoms, 3, 2) are numbers with their low parts.
+extern "C" EXPORTED void pi_add_forces(const char* kind, int terms, int atoms, int harmonics, double* x, const int* members, const double* of_terms,
         const double* patches, double* sums) {
     using namespace exactrb;
     typedef void (Flexible::*Add)(const number*, double*, int*, int, Flexible::Terms, const int*, const double*);
@@ -132,12 +132,11 @@ extern "C" EXPORTED int pi_add_forces(const char* kind, int terms, int atoms, in
         {"torsions", &Flexible::add_torsions}, {"pairs", &Flexible::add_pairs}, {"impropers", &Flexible::add_impropers}};
     Flexible kernels{Constants()};
     kernels.HARMONICS = harmonics;
-    int broken = 0;
+    int broken = 0; // which only devices use, where forces may be too large for a sum
     const Flexible::Terms all = {0, terms, terms};
     const number* const xs = reinterpret_cast<const number*>(x);
     if (std::string(kind) == "maps")
         kernels.add_maps(xs, sums, &broken, atoms, all, members, of_terms, patches);
     else
         (kernels.*kinds.at(kind))(xs, sums, &broken, atoms, all, members, of_terms);
-    return broken;
 }

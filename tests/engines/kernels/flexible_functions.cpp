@@ -6,10 +6,6 @@ using namespace exactrb;
 
 namespace {
 
-typedef void (Flexible::*Add)(const number*, double*, int*, int, Flexible::Terms, const int*, const double*);
-const std::map<std::string, Add> KINDS = {{"bonds", &Flexible::add_bonds}, {"angles", &Flexible::add_angles},
-    {"torsions", &Flexible::add_torsions}, {"pairs", &Flexible::add_pairs}, {"impropers", &Flexible::add_impropers}};
-
 number* numbers(double* pairs) {
     return reinterpret_cast<number*>(pairs);
 }
@@ -17,20 +13,6 @@ number* numbers(double* pairs) {
 } // namespace
 
 extern "C" {
-
-// Add the forces of the terms of a kind to the sums of `atoms` atoms, and return whether a force is too large for a sum.
-int forces(const char* kind, int terms, int atoms, int harmonics, double* x, const int* members, const double* of_terms,
-        const double* patches, double* sums) {
-    Flexible kernels{Constants()};
-    kernels.HARMONICS = harmonics;
-    int broken = 0;
-    const Flexible::Terms all = {0, terms, terms};
-    if (std::string(kind) == "maps")
-        kernels.add_maps(numbers(x), sums, &broken, atoms, all, members, of_terms, patches);
-    else
-        (kernels.*KINDS.at(kind))(numbers(x), sums, &broken, atoms, all, members, of_terms);
-    return broken;
-}
 
 // Advance clusters by a time, or only project the velocities for t = 0. If a heat exchange `relaxes` velocities from `before`
 // to `after`, subtract from the heat the part along the constraints.

@@ -17,15 +17,15 @@ H = mp.mpf(10) ** -15
 
 
 def forces_of(kernels, terms, x):
-    """Return the forces (n, 3) of the kernels of all kinds at positions (n, 3), nan if one is too large for sums."""
+    """Return the forces (n, 3) of the kernels of all kinds at positions (n, 3)."""
     sums, state = np.zeros(x.shape), np.ascontiguousarray(np.stack([x, np.zeros(x.shape)], axis=-1))
-    patches, harmonics, broken = np.ascontiguousarray(terms.patches), terms.of_torsions.shape[1], 0
+    patches, harmonics = np.ascontiguousarray(terms.patches), terms.of_torsions.shape[1]
     for name, kind in kinds_of(terms, np.float64).items():
         members = np.ascontiguousarray(np.concatenate([kind.particles.T, kind.others]), np.int32)
         numbers = np.ascontiguousarray(kind.numbers)
         counts = len(kind.particles), len(x), harmonics
-        broken |= kernels("forces", name.encode(), *counts, state, members, numbers, patches, sums)
-    return np.where(broken, np.nan, sums)
+        kernels("pi_add_forces", name.encode(), *counts, state, members, numbers, patches, sums)
+    return sums
 
 
 # -- against OpenMM ---------------------------------------------------------------------------------------------------
