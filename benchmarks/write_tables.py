@@ -29,7 +29,6 @@ from benchmarks.water.droplet_averages import droplet_averages
 from benchmarks.water.equipartition_record import (
     RECORD,
     over_frictions,
-    over_goals,
     over_models,
     over_steps,
     read,
@@ -93,7 +92,6 @@ def _equipartition() -> Iterator[tuple[str, str]]:
         yield f"{model}_energies", over_steps(record, "U", model, "NVT")
         yield f"{model}_densities", over_steps(record, "density", model, "NPT")
         yield f"{model}_frictions", over_frictions(record, model, 6.0)
-        yield f"{model}_goals", over_goals(record, model)
     yield "equipartition_models", over_models(record)
 
 

@@ -157,40 +157,6 @@ def over_steps(record: Record, quantity: str, model: str, ensemble: str) -> str:
     return markdown(lines)
 
 
-def over_goals(record: Record, model: str) -> str:
-    """Return a table in Markdown of what was to be reached with a model, a column for each method.
-
-    References are the runs of LangevinMiddleIntegrator at 0.5 fs per force; what has none yet is left out.
-    """
-    found = whole(record)
-    methods = {
-        "W2_3m": ("W2_3m", FRICTION, "T_rot - T_tr"),
-        "BAOA, friction 30/ps": ("BAOA", 30.0, "T_rot - T_tr"),
-        "`LangevinMiddleIntegrator`, constrained": (LFM, FRICTION, "other T_rot - T_tr"),
-        "BAOAB, around the heat exchange": ("BAOAB", FRICTION, "other T_rot - T_tr"),
-    }
-
-    def of_methods(ensemble: str, interval: float) -> list[Means]:
-        return [found.get((model, ensemble, method, interval, g), {}) for method, g, _ in methods.values()]
-
-    lines = [[NAMES[model], "goal", *methods], ["---"] * (2 + len(methods))]
-    for ensemble, name in (("NVT", "constant volume"), ("NPT", "1 bar")):
-        quantities = (quantity for *_, quantity in methods.values())
-        cells = map(shown, of_methods(ensemble, 6.0), quantities)
-        lines.append([f"T_rot − T_tr at 6 fs, {name} (K)", f"up to {GOALS['T_rot - T_tr']:g}", *cells])
-    for ensemble, name, interval, scale, text in (
-        ("NVT", "U", 6.0, None, "U at 6 fs less that at 0.5 fs (kJ/mol per molecule)"),
-        ("NPT", "density", 4.0, 100.0, "density at 4 fs over that at 0.5 fs (%)"),
-    ):
-        reference = found.get((model, ensemble, LFM, 0.5, FRICTION), {}).get(name)
-        differences = [
-            "" if reference is None or name not in means else with_error(*less(means[name], reference, scale), 2)
-            for means in of_methods(ensemble, interval)
-        ]
-        lines += [[text, f"up to {GOALS[name]:g}", *differences]] if any(differences) else []
-    return markdown(lines)
-
-
 def over_models(record: Record) -> str:
     """Return a table in Markdown: densities of W2_3m at 4 fs, of OpenMM's integrator at 1 fs or less."""
     found = whole(record)

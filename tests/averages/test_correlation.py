@@ -17,7 +17,7 @@ def test_the_error_is_the_scatter_of_the_means_of_independent_series(n, time):
     errors = np.array([error_of_mean(one) for one in series])
     assert np.sqrt(np.mean(errors**2)) == pytest.approx(series.mean(axis=1).std(), rel=0.12)
     if (n, time) == (200, 10.0):
-        assert errors.std() / errors.mean() == pytest.approx(0.4, abs=0.05)  # docs/explanation/averages.md
+        assert errors.std() / errors.mean() == pytest.approx(0.4, abs=0.05)  # docs/how-to/temperature.md
 
 
 def test_the_error_of_a_constant_is_zero():

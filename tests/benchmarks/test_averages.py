@@ -18,7 +18,7 @@ def deviation(model, held, average):
     (row,) = (
         [cell.strip() for cell in line.split("|")]
         for line in averages().splitlines()
-        if line.startswith(f"| {model}, heavy hydrogens | 8 fs, {held}") and f"| {average} (" in line
+        if line.startswith(f"| {model} | {held}") and f"| {average} (" in line
     )
     (mean, error), (known, of_known) = (map(float, cell.replace("−", "-").split(" ± ")) for cell in row[6:8])
     return mean - known, math.hypot(error, of_known), known
@@ -26,14 +26,14 @@ def deviation(model, held, average):
 
 @pytest.mark.parametrize("model", ["SPC/E", "TIP4P/2005"])
 def test_densities_with_heavy_hydrogens_deviate_as_the_page_says(model):
-    page = " ".join((DOCS / "explanation/averages.md").read_text(encoding="utf-8").split())
+    page = " ".join((DOCS / "explanation/temperature.md").read_text(encoding="utf-8").split())
     less, error, known = deviation(model, "1 bar", "density")
     assert f"{with_error(100.0 * less / known, 100.0 * error / known, 2)} % with {model}" in page
 
 
 @pytest.mark.parametrize(("held", "average"), [("constant volume", "potential energy"), ("1 bar", "enthalpy")])
 def test_energies_with_heavy_hydrogens_deviate_as_the_page_says(held, average):
-    page = " ".join((DOCS / "explanation/averages.md").read_text(encoding="utf-8").split())
+    page = " ".join((DOCS / "explanation/temperature.md").read_text(encoding="utf-8").split())
     spce, tip4p2005 = (with_error(*deviation(model, held, average)[:2], 3) for model in ("SPC/E", "TIP4P/2005"))
     assert f"{held} are {spce} (SPC/E) and {tip4p2005} kJ/mol (TIP4P/2005) too high" in page
 
@@ -56,7 +56,7 @@ def too_high(fs, ensembles, value):
 
 
 def test_energies_with_plain_hydrogens_deviate_as_the_page_says():
-    page = " ".join((DOCS / "explanation/averages.md").read_text(encoding="utf-8").split())
+    page = " ".join((DOCS / "explanation/temperature.md").read_text(encoding="utf-8").split())
     before, _ = too_high(4.0, ("NVT", "NPT"), lambda point: (point.mean, point.error))
     after = with_error(*too_high(4.0, ("NVT", "NPT"), lambda point: point.after), 2)
     assert f"is {before:.2f} kJ/mol too high before the correction, and {after} kJ/mol after it" in page
@@ -97,7 +97,7 @@ def numbers(cell):
 
 
 def test_energies_of_droplets_deviate_as_the_page_says():
-    page = " ".join((DOCS / "explanation/averages.md").read_text(encoding="utf-8").split())
+    page = " ".join((DOCS / "explanation/temperature.md").read_text(encoding="utf-8").split())
     before, after = (with_error(*of, 3) for of in of_droplets("W2_3m", 8))
     assert f"is {before} kJ/mol too high before the correction, and {after} kJ/mol after it" in page
     before, after = (with_error(-mean, error, 3) for mean, error in of_droplets("BAOA", 8))

@@ -17,7 +17,6 @@ from benchmarks.water.equipartition_record import (
     less,
     merge,
     over_frictions,
-    over_goals,
     over_models,
     over_steps,
     points,
@@ -88,28 +87,6 @@ def test_the_record_in_the_documentation_has_a_run_once_and_whole_points():
     whole = {point[:5] for point in found}
     methods = ("W2_3m", "BAOAB", LFM)
     assert whole >= {("spce", "NVT", method, interval, 5.0) for method in methods for interval in (4.0, 6.0)}
-
-
-def test_goals_are_differences_from_the_smallest_steps():
-    """Means that are known: 20 runs of each point, of which two values alternate."""
-    found = {}
-    for ensemble, method, interval, density in (
-        ("NPT", LFM, 0.5, 1000.0),
-        ("NPT", "W2_3m", 4.0, 1005.0),
-        ("NPT", LFM, 4.0, 990.0),
-        ("NVT", "W2_3m", 6.0, 1.0),
-        ("NVT", "BAOA", 6.0, 1.0),
-    ):
-        for seed in range(1, 21):
-            friction = 30.0 if method == "BAOA" else 5.0
-            run = Run("spce", ensemble, method, interval, 216, friction, 298.15, 50.0, seed)
-            found[run] = dict.fromkeys(MEASURED, 0.5) | {"density": density + (-1.0) ** seed}
-    error = with_error(0.0, 100.0 * math.hypot(1.0, 1.0) / math.sqrt(19.0) / 1000.0, 2)[-4:]
-    table = over_goals(found, "spce")
-    assert f"density at 4 fs over that at 0.5 fs (%) | up to 0.1 | 0.50 ± {error} |  | −1.00 ± {error} |  |" in table
-    assert "T_rot − T_tr at 6 fs, constant volume (K) | up to 1 | 0.5 ± 0.0 | 0.5 ± 0.0 |  |  |" in table
-    assert "less that at 0.5 fs (kJ/mol per molecule)" not in table  # there is no reference
-    assert "| SPC/E | 1005.0 ± 0.2 | 1000.0 ± 0.2 at 0.5 fs | 0.50 ± " in over_models(found)
 
 
 EXAMPLE = "examples/equipartition.py"

@@ -13,7 +13,7 @@ from benchmarks.water.tip4p2005 import KELVIN, corrected, measured
 
 @pytest.fixture(scope="module")
 def page():
-    return " ".join((DOCS / "explanation/tip4p2005.md").read_text(encoding="utf-8").split())
+    return " ".join((DOCS / "explanation/temperature.md").read_text(encoding="utf-8").split())
 
 
 def of_runs(method, fs, value):
