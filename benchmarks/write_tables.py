@@ -58,7 +58,7 @@ def all_tables() -> dict[str, str]:
     """Return the tables in Markdown by their names."""
     functions = (
         *(tables.default_energies, tables.default_stability, tables.default_temperatures),
-        *(of_cost.one_line, of_cost.small_systems),
+        *(of_cost.one_line, of_cost.small_systems, of_cost.alchemical_systems),
         *(tables.protein_steps, tables.protein_limits, tables.villin_steps, tables.heating, tables.populations),
         tables.equal_protein_costs,
         *(tables.outputs, tables.validation, tables.ensembles, tables.earlier_schemes, tables.scheme_table),

@@ -4,7 +4,8 @@ Rigid water is compared with VerletIntegrator and LangevinMiddleIntegrator by th
 of step(1) with a step of a call of 100. Peptides in vacuum have steps of 2 fs. Peptides in water have hydrogens of 3
 amu and a force evaluation every 8 fs, for which LangevinMiddleIntegrator needs constraints of all bonds. The time of
 the first step of water, without that of imports, is measured in new processes with an empty home folder and a compiled
-library. On two threads, the wall time of the native engine is compared with that of the host engine.
+library. On two threads, the wall time of the native engine is compared with that of the host engine. The last rows are
+for alanine dipeptide in water as an alchemical solute of openmmtools (the extra `openmmtools`), half discharged.
 
 Each row is the median and the quartiles of nine pairs of runs that alternate, except on two threads on one core. Rows
 are written to records/small_systems.csv; rows that are there are not measured again.
@@ -21,9 +22,10 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import cache, partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -44,6 +46,7 @@ PAIRS = 9
 SECONDS = 0.2  # of processor time that a run takes at least
 KELVIN, FRICTION = 300.0, 5.0
 PLATFORMS = "Reference", "CPU"
+HALF_DISCHARGED = {"lambda_sterics": 1.0, "lambda_electrostatics": 0.5}
 WATERS, IN_BATH, BY_CALL = (1, 8, 27, 64, 216, 895), (8, 27, 64, 216), (1, 8, 27, 64)
 #: Residues of helices of 123 and 403 atoms, and water around alanine dipeptide.
 RESIDUES, AROUND = (12, 40), 212
@@ -64,15 +67,18 @@ print(time.process_time() - begin, integrator.getEngine())
 
 
 class Start(NamedTuple):
-    """A System and positions."""
+    """A System, positions, and parameters of the Context."""
 
     system: openmm.System
     positions: Any
+    parameters: Mapping[str, float] = MappingProxyType({})
 
     def moving(self, integrator: openmm.Integrator, platform: str, threads: int = 1) -> openmm.Context:
         """Return a Context after some steps of an integrator."""
-        properties = {"Threads": f"{threads}"} if platform == "CPU" else {}
+        properties = {"CPU": {"Threads": f"{threads}"}, "OpenCL": {"Precision": "mixed"}}.get(platform, {})
         context = context_of(self.system, integrator, self.positions, platform, properties)
+        for name, value in self.parameters.items():
+            context.setParameter(name, value)
         context.applyConstraints(1e-8)
         context.setVelocitiesToTemperature(KELVIN, 1)
         integrator.step(10)
@@ -122,6 +128,16 @@ def in_water(pdb: Path, constraints: Any) -> Start:
     system = app.ForceField(*FORCE_FIELD).createSystem(topology, **options)
     rb.heavy_hydrogens(system, topology)
     return Start(system, positions)
+
+
+def alchemical(constraints: Any) -> Start:
+    """Return alanine dipeptide in water, with charges half switched off and exact PME."""
+    from openmmtools import alchemy
+
+    start, atoms = in_water(PEPTIDE, constraints), app.PDBFile(str(PEPTIDE)).topology.getNumAtoms()
+    factory = alchemy.AbsoluteAlchemicalFactory(alchemical_pme_treatment="exact")
+    region = alchemy.AlchemicalRegion(alchemical_atoms=range(atoms))
+    return Start(factory.create_alchemical_system(start.system, region), start.positions, HALF_DISCHARGED)
 
 
 # -- measurements ----------------------------------------------------------------------------------------------------
@@ -239,11 +255,21 @@ def of_peptides(engine: str) -> Iterator[Measurement]:
 def of_solutes(engine: str, pdbs: list[Path]) -> Iterator[Measurement]:
     """Yield the measurements of solutes in water with a force evaluation every 8 fs."""
     for pdb in pdbs:
-        start, other = partial(in_water, pdb, app.HBonds), partial(in_water, pdb, app.AllBonds)
-        for scheme, step in (("W2_3m", 0.024), ("BAOA", 0.008)):
-            ours, theirs = partial(bath, step, scheme, engine), partial(langevin, 0.008)
-            name = f"{pdb.stem} in water"
-            yield beside(name, "CPU", f"{scheme}, 8 fs a force", start, ours, theirs, other)
+        yield from at_eight_fs(f"{pdb.stem} in water", "CPU", engine, partial(in_water, pdb))
+
+
+def of_alchemy(engine: str) -> Iterator[Measurement]:
+    """Yield the measurements of an alchemical solute in water with a force evaluation every 8 fs."""
+    for platform in ("CPU", "OpenCL"):
+        yield from at_eight_fs(f"alchemical {PEPTIDE.stem} in water", platform, engine, alchemical)
+
+
+def at_eight_fs(name: str, platform: str, engine: str, start: Any) -> Iterator[Measurement]:
+    """Yield the measurements of a start, which takes constraints."""
+    for scheme, step in (("W2_3m", 0.024), ("BAOA", 0.008)):
+        ours, theirs = partial(bath, step, scheme, engine), partial(langevin, 0.008)
+        starts = partial(start, app.HBonds), ours, theirs, partial(start, app.AllBonds)
+        yield beside(name, platform, f"{scheme}, 8 fs a force", *starts)
 
 
 def on_two_threads(engine: str, pdbs: list[Path]) -> Iterator[Measurement]:
@@ -273,7 +299,7 @@ def beside(system: str, platform: str, run: str, start: Any, ours: Any, theirs: 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add = parser.add_argument
-    add("--only", choices=("water", "peptides", "solutes", "threads"), help="some of the rows")
+    add("--only", choices=("water", "peptides", "solutes", "alchemy", "threads"), help="some of the rows")
     add("--pdb", type=Path, help="a solvated protein, beside alanine dipeptide")
     add("--engine", default="native", help="of our integrators (%(default)s)")
     add("--record", type=Path, default=RECORDS / "small_systems.csv")
@@ -285,6 +311,7 @@ def main() -> None:
         "water": of_water(args.engine),
         "peptides": of_peptides(args.engine),
         "solutes": of_solutes(args.engine, [PEPTIDE, *pdbs]),
+        "alchemy": of_alchemy(args.engine),
     }
     for what, some in measurements.items():
         if what != "threads":

@@ -31,7 +31,19 @@ def one_line() -> str:
 
 def small_systems() -> str:
     """Return times beside OpenMM's integrators, by platforms; S2_2, which costs what W2_1 does, is left out."""
-    found = [row for row in rows("small_systems") if not row["run"].startswith("S2_2")]
+    return _by_platform([row for row in rows("small_systems") if not re.match("S2_2", row["run"]) and not _fades(row)])
+
+
+def alchemical_systems() -> str:
+    """Return times of alchemical Systems beside OpenMM's integrator, by platforms."""
+    return _by_platform([row for row in rows("small_systems") if _fades(row)])
+
+
+def _fades(row: Row) -> bool:
+    return row["system"].startswith("alchemical")
+
+
+def _by_platform(found: list[Row]) -> str:
     platforms, body = [name for (name,) in distinct(found, "platform")], []
     for system, run, beside in distinct(found, "system", "run", "beside"):
         of_run = {row["platform"]: row for row in found if (row["system"], row["run"]) == (system, run)}

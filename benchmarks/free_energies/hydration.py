@@ -30,10 +30,10 @@ import openmm
 from openmm import app, unit
 
 import openmm_exactrb as rb
-from benchmarks.common.markdown import table, with_error
 from benchmarks.common.provenance import OF_RUN, of_run
-from benchmarks.common.records import ROOT, Record, Row
+from benchmarks.common.records import RECORDS, ROOT, Record, write
 from benchmarks.common.starts import R, masses_of, simulation_of
+from benchmarks.free_energies.tables import hydration
 from openmm_exactrb.support.files import written_whole
 
 MOLECULES, SOLUTE = 216, range(5)  # of water; the atoms of methane
@@ -63,7 +63,9 @@ KINDS = {
     "8fs AllBonds": Kind("LangevinMiddle", 8.0, "all", "AllBonds"),
     "BAOA 8fs": Kind("BAOA", 8.0, "all", "HBonds"),
 }
-RECORDED = ("picoseconds", "samples", "failures", "simulated", "forces", "seconds", "density", *OF_RUN)
+SUMMED = "failures", "simulated", "forces", "seconds"
+RECORDED = ("picoseconds", "samples", *SUMMED, "density", *OF_RUN)
+RESULTS = ("kind", "seed", "windows", "picoseconds", "value", "error", "overlap", *SUMMED, "density", *OF_RUN)
 
 
 @cache
@@ -288,32 +290,22 @@ def windows_of(folder: Path, name: str, seed: int) -> list[np.ndarray]:
     return [np.load(file)["reduced"] for file in files]
 
 
-def hydration(folder: Path) -> str:
-    """Return a table of the kinds and seeds all windows of which are finished."""
-    rows, found = record_of(folder).rows(), {}
-    for name, seed in dict.fromkeys((kind, seed) for kind, seed, _ in rows):
-        some = [rows.get((name, seed, f"{window}")) for window in range(len(WINDOWS))]
-        if all(some) and all(int(row["samples"]) > 1 for row in some):
-            found[name, seed] = free_energy(windows_of(folder, name, int(seed)))
-    body = [line(name, [row for row in rows.values() if row["kind"] == name], found) for name in KINDS]
-    head = "integrator", "seeds", "ΔG (kcal/mol)", "over seeds", "overlap", "ns", "failures per 100 ns"
-    return table((*head, "forces per ns", "density (kg/m³)"), body)
-
-
-def line(name: str, rows: list[Row], found: dict[tuple[str, str], Found]) -> list[str]:
-    """Return the line of a kind: with errors of MBAR, and the spread of the seeds where there are two."""
-    some = [one for (kind, _), one in found.items() if kind == name]
-    cells, n = [name, f"{len(some)}"], len(some)
-    values = np.array([one.value for one in some])
-    error = math.sqrt(sum(one.error**2 for one in some)) / n if n else math.nan
-    cells.append(with_error(values.mean(), error, 2) if n else "")
-    cells.append(f"± {values.std(ddof=1) / math.sqrt(n):.2f}" if n > 1 else "")
-    cells.append(f"{min(one.overlap for one in some):.2f}" if n else "")
-    ns, failures, forces = (sum(float(row[key]) for row in rows) for key in ("simulated", "failures", "forces"))
-    ns *= 0.001
-    densities = [float(row["density"]) for row in rows if int(row["samples"])]
-    cells += [f"{ns:.2f}", f"{100.0 * failures / ns:.3g}", f"{forces / ns:.0f}"] if rows else [""] * 3
-    return [*cells, f"{np.mean(densities):.1f}" if densities else ""]
+def results(folder: Path) -> Iterator[dict[str, Any]]:
+    """Yield a row for each kind and seed all windows of which were made, of nan if one of them has no samples."""
+    rows = record_of(folder).rows()
+    for kind, seed in dict.fromkeys((kind, seed) for kind, seed, _ in rows):
+        some = [rows.get((kind, seed, f"{window}")) for window in range(len(WINDOWS))]
+        if all(some):
+            failed = any(int(row["samples"]) < 2 for row in some)
+            found = Found(*[math.nan] * 3) if failed else free_energy(windows_of(folder, kind, int(seed)))
+            sums = {name: sum(float(row[name]) for row in some) for name in SUMMED}
+            yield {
+                **{"kind": kind, "seed": seed, "windows": len(WINDOWS), "picoseconds": some[0]["picoseconds"]},
+                **{name: f"{value:.5g}" for name, value in found._asdict().items()},
+                **{name: f"{value:.6g}" for name, value in sums.items()},
+                "density": f"{np.mean([float(row['density']) for row in some]):.6g}",
+                **{name: " ".join(dict.fromkeys(row[name] for row in some)) for name in OF_RUN},
+            }
 
 
 def main() -> None:
@@ -324,10 +316,12 @@ def main() -> None:
     add("--seeds", nargs="+", type=int, default=[0], help="%(default)s")
     add("--windows", nargs="+", type=int, choices=range(len(WINDOWS)), default=[*range(len(WINDOWS))], metavar="N")
     add("--picoseconds", type=float, default=200.0, help="of a window, after its equilibration (%(default)s)")
-    add("--table", action="store_true", help="print the free energies, and make nothing")
+    add("--record", type=Path, default=RECORDS / "hydration.csv", metavar="CSV", help="of --table (%(default)s)")
+    add("--table", action="store_true", help="write and print the free energies of finished seeds, and make nothing")
     args = parser.parse_args()
     if args.table:
-        print(hydration(args.folder))
+        write(args.record, RESULTS, results(args.folder))
+        print(hydration(args.record))
         return
     args.folder.mkdir(parents=True, exist_ok=True)
     record = record_of(args.folder)

@@ -3,8 +3,8 @@
 OpenMM's `app.Metadynamics` (well-tempered) biases phi and psi of alanine dipeptide, in amber14 with the implicit
 solvent OBC2, at 300 K with bonds to hydrogen constrained. All runs evaluate the forces equally often, so that a run
 with a longer step is longer. The free energy of each run is the mean of the estimates at ten times in its second half.
-Profiles of phi and of psi follow by integration over the other angle, each relative to its mean over the angles at which
-the profile of the reference is below 15 kJ/mol.
+Profiles of phi and of psi follow by integration over the other angle, each relative to its mean over the angles at
+which the profile of the reference is below 15 kJ/mol.
 
 Each finished run is a file in the folder, and runs that are there are not made again. The record has the profiles of
 all runs.
@@ -19,7 +19,6 @@ import argparse
 import itertools
 import math
 import time
-from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,20 +27,18 @@ import openmm
 from openmm import app, unit
 
 import openmm_exactrb as rb
-from benchmarks.common.markdown import table
 from benchmarks.common.proteins import PEPTIDE
-from benchmarks.common.records import RECORDS, read, write
+from benchmarks.common.records import RECORDS, write
 from benchmarks.common.starts import R
 from benchmarks.common.structure import backbone
+from benchmarks.free_energies.tables import ANGLES, metadynamics
 from benchmarks.proteins.peptide_populations import with_native_solvent
-from openmm_exactrb.schemes import splitting
 from openmm_exactrb.support.files import written_whole
 
 KELVIN, FRICTION = 300.0, 5.0
 WIDTH, HEIGHT, FACTOR, EVERY = 0.35, 1.0, 8.0, 0.96  # of a Gaussian: rad, kJ/mol; bias factor; ps between two
 ESTIMATES = 10  # of the free energy, in the second half of a run
-BINS, BELOW = 24, 15.0  # of a profile; kJ/mol up to which profiles are compared
-ANGLES = ("phi", "psi")
+BINS = 24  # of a profile
 
 
 class Kind(NamedTuple):
@@ -59,7 +56,7 @@ KINDS = {
     "BAOA 8 fs": Kind("BAOA", 8.0),
     "W2_3m 8 fs": Kind("W2_3m", 8.0),
 }
-REFERENCE, *COMPARED = KINDS
+REFERENCE = next(iter(KINDS))
 
 
 def system_of() -> tuple[app.Topology, openmm.System, unit.Quantity]:
@@ -154,58 +151,20 @@ def rows_of(folder: Path) -> list[dict[str, str]]:
     return rows
 
 
-@cache
-def profiles(record: Path) -> dict[tuple[str, str], np.ndarray]:
-    """Return the profiles (runs, bins) of each kind and angle, each relative to its mean below `BELOW`."""
-    series: dict[tuple[str, str], dict[str, list[float]]] = {}
-    for row in read(record):
-        some = series.setdefault((row["kind"], row["angle"]), {})
-        some.setdefault(row["seed"], []).append(float(row["energy"]))
-    found = {point: np.array([*some.values()]) for point, some in series.items()}
-    for (name, angle), energies in found.items():
-        low = basins(found[REFERENCE, angle])
-        found[name, angle] = energies - energies[:, low].mean(axis=1, keepdims=True)
-    return found
-
-
-def basins(reference: np.ndarray) -> np.ndarray:
-    """Return which bins of a profile are below `BELOW`."""
-    mean = reference.mean(axis=0)
-    return mean - mean.min() < BELOW
-
-
-def differences(record: Path) -> str:
-    """Return a table: how far the profiles of each kind are from the reference, and their scatter."""
-    found, body = profiles(record), []
-    for name in COMPARED:
-        if (name, "phi") not in found:
-            continue
-        cells = [name, f"{len(found[name, 'phi'])}"]
-        for angle in ANGLES:
-            reference, energies = found[REFERENCE, angle], found[name, angle]
-            low = basins(reference)
-            apart = np.abs(energies.mean(axis=0) - reference.mean(axis=0))[low].max()
-            scatter = energies[:, low].std(axis=0, ddof=1).max() if len(energies) > 1 else math.nan
-            cells += [f"{apart:.2f}", f"{scatter:.2f}"]
-        body.append(cells)
-    head = [f"{text} of {angle}" for angle in ANGLES for text in ("largest difference", "scatter of one run")]
-    return table(("integrator", "runs", *head), body)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add = parser.add_argument
     add("folder", type=Path, help="of free energies")
     add("--kinds", nargs="+", choices=KINDS, default=[*KINDS], help="%(default)s")
     add("--seeds", nargs="+", type=int, default=[1, 2, 3], help="%(default)s")
-    add("--forces", type=int, default=5_000_000, help="evaluations in a run, four times for the reference (%(default)s)")
+    add("--forces", type=int, default=5_000_000, help="of a run, four times for the reference (%(default)s)")
     add("--record", type=Path, default=RECORDS / "metadynamics.csv", metavar="CSV", help="%(default)s")
     add("--table", action="store_true", help="print the differences, and make nothing")
     args = parser.parse_args()
     if not args.table:
         made(args.folder, args.seeds, args.kinds, args.forces)
         write(args.record, ("kind", "seed", "forces", "angle", "degrees", "energy"), rows_of(args.folder))
-    print(differences(args.record))
+    print(metadynamics(args.record))
 
 
 if __name__ == "__main__":
