@@ -188,8 +188,6 @@ def test_what_smooth_forces_cost_is_in_the_record():
     small, large = map(costs_of_settings, ("216", "895"))
     most, least = (f"{costs['switch and tolerance 1e-5']:.1f}" for costs in (small, large))
     assert f"{least} to {most} times as long" in page("README.md")
-    assert f"{least} to {most} times as long" in page("docs/tutorials/first-water.md")
-    assert f"A step of Verlet then takes [{most} times as long]" in page("docs/explanation/limits.md")
     assert f"with this setting alone, a step takes {small['switch']:.2f} times as long" in page("docs/faq.md")
     words = f"of 895 molecules takes {least} times as long, and one of 216 molecules {most} times as long"
     assert words in page("docs/faq.md")
