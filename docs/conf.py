@@ -45,7 +45,7 @@ extensions = [
     "sphinx-mathjax-offline",
     "sphinx_gallery.gen_gallery",
 ]
-exclude_patterns = ["_build", "_static", "_templates", "joss.md", "examples/**/*.ipynb"]
+exclude_patterns = ["_build", "_static", "_templates", "appendix/joss.md", "examples/**/*.ipynb"]
 myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
 

@@ -9,7 +9,7 @@ PAGES = {
     "should I": DOCS / "should-i-use-this.md",
     "gpu": DOCS / "how-to/gpu.md",
     "protein": DOCS / "tutorials/protein-8fs.md",
-    "joss": DOCS / "joss.md",
+    "joss": DOCS / "appendix/joss.md",
     "changes": ROOT / "CHANGELOG.md",
 }
 ROWS = {(row["system"], row["molecules"], row["integrator"]): row for row in read(RECORDS / "device_costs.csv")}

@@ -100,5 +100,5 @@ def test_links_lead_to_files_of_the_repository():
 
 def test_the_root_of_the_pages_has_no_records_and_pictures():
     files = [file for file in (ROOT / "docs").iterdir() if file.is_file()]
-    assert {file.suffix for file in files} == {".md", ".py", ".bib"}
+    assert {file.suffix for file in files} == {".md", ".py"}
     assert len(files) <= 16

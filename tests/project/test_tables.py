@@ -20,7 +20,7 @@ QUOTED = [
 
 def test_figures_that_are_typed_are_those_that_were_measured():
     """Pages that are also read as plain Markdown have no substitutions."""
-    pages = "README.md", "docs/which.md", "docs/joss.md"
+    pages = "README.md", "docs/which.md", "docs/appendix/joss.md"
     readme, which, joss = (" ".join((ROOT / page).read_text(encoding="utf-8").split()) for page in pages)
     figures = tables.figures()
     gain = f"{figures['W4_4_gain']} ± {figures['W4_4_gain_error']}"
