@@ -6,13 +6,18 @@ BIN := $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
 LOWEST ?= .venv-lowest
 ARGS ?=
 
-.PHONY: run test cuda-check library-check lowest lint docs browse linkcheck validate benchmarks paper dist clean
+.PHONY: run test coverage cuda-check library-check lowest lint docs browse linkcheck validate benchmarks paper dist clean
 
 run: $(VENV)/.run
 	$(BIN)/python examples/dipole_fluid.py --compare --overwrite $(ARGS)
 
 test: $(VENV)/.test
 	$(BIN)/python -m pytest -n auto $(ARGS)
+
+# Writes htmlcov/index.html: the lines of Python that the tests execute.
+coverage: $(VENV)/.test
+	$(BIN)/python -m pip install --quiet --editable ".[coverage]"
+	$(BIN)/python -m pytest -n auto --cov --cov-report=html --cov-report=term:skip-covered $(ARGS)
 
 # Compiles all kernels for CUDA, without a GPU.
 cuda-check: $(VENV)/.test
@@ -72,7 +77,7 @@ dist: $(VENV)/.dist
 	$(BIN)/python -c "from rattler_build import Stage0Recipe as R, VariantConfig; print(R.from_file('packaging/conda/recipe.yaml').render(VariantConfig({'c_stdlib': ['sysroot']})))"
 
 clean:
-	rm -rf $(VENV) $(LOWEST) dist out examples/out docs/_build docs/examples
+	rm -rf $(VENV) $(LOWEST) dist out examples/out docs/_build docs/examples htmlcov .coverage
 
 $(VENV)/.python: pyproject.toml
 	$(PYTHON) -m venv $(VENV)

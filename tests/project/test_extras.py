@@ -123,7 +123,7 @@ def pip_installs(commands: list[str]) -> list[str]:
     return [word for word in words if not word.startswith(("-", "constraints/"))]
 
 
-TARGETS = ("run", "test", "lowest", "lint", "docs", "browse", "validate", "benchmarks", "paper")
+TARGETS = ("run", "test", "coverage", "lowest", "lint", "docs", "browse", "validate", "benchmarks", "paper")
 
 
 @pytest.mark.parametrize("target", TARGETS, ids="make {}".format)
