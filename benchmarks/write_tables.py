@@ -16,6 +16,7 @@ from benchmarks import tables
 from benchmarks.common.markdown import rows, table
 from benchmarks.common.provenance import OF_RUN, PROVENANCE
 from benchmarks.common.records import DOCS
+from benchmarks.constraints.martini_rings import martini_rings
 from benchmarks.constraints.small_molecules import small_molecules
 from benchmarks.cost import tables as of_cost
 from benchmarks.device import tables as of_device
@@ -47,7 +48,6 @@ AS_THEY_ARE = [
     "dppc",
     "ellipsoids",
     "large_bodies",
-    "martini_rings",
     "rigid_domains",
     "rigid_domains_cost",
 ]
@@ -66,6 +66,7 @@ def all_tables() -> dict[str, str]:
         *(of_water.energy_balances, of_water.reading_points, of_water.equal_costs, of_water.shadow_predictions),
         *(of_water.energy_drifts, of_water.settings_of_forces, of_proteins.peptide_errors, of_proteins.inner_steps),
         *(of_schemes.roundoff_errors, of_schemes.heat_exchanges, of_schemes.small_potentials, small_molecules),
+        martini_rings,
         *(of_schemes.droplets_of_models, of_schemes.droplet_growth, of_schemes.oscillator_errors),
         *(of_water.averages, corrected_steps, corrected_water, corrected_water_agreement, droplet_averages, tip4p2005),
         *(of_schemes.rotors_compared, of_dipoles.dipole_costs),

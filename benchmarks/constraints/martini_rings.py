@@ -20,6 +20,7 @@ import numpy as np
 import openmm
 
 import openmm_exactrb as rb
+from benchmarks.common.markdown import rows, table
 from benchmarks.common.records import RECORDS, Record
 from benchmarks.common.starts import R, context_of, positions_and_velocities
 from benchmarks.constraints import martini
@@ -210,6 +211,22 @@ def print_means():
         weights = weights**-2.0
         mean, error = weights @ T / weights.sum(), weights.sum() ** -0.5
         print(f"{kind}, {step} fs, {len(found)} molecules: {mean:.2f} +- {error:.2f} K")
+
+
+def martini_rings() -> str:
+    """Return temperatures of each molecule, and the largest constraint error, as a table of a page."""
+    found = {tuple(row[name] for name in RUN): row for row in rows("martini_rings")}
+    body = []
+    for molecule in dict.fromkeys(molecule for molecule, _, _ in found):
+        cells = []
+        for name in ("exact", "LangevinMiddle"):
+            some = [found[molecule, step, name] for step in ("20", "30")]
+            means = [f"{float(row['T_K']):.1f} ± {float(row['error_K']):.1f}" for row in some]
+            error = max(float(row["largest_constraint_error_nm"]) for row in some)
+            cells += [*means, f"{error:.1e}"] if np.isfinite(error) else 3 * ["nan"]
+        body.append((molecule, *cells))
+    columns = ("T at 20 fs (K)", "at 30 fs", "constraint error (nm)")
+    return table(("molecule", *columns, *(f"{name}, `LangevinMiddle`" for name in columns)), body)
 
 
 def main():
