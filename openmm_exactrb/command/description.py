@@ -30,6 +30,11 @@ from openmm_exactrb.tuning.floor import causes
 
 _SHOWN = 3  # largest number of periods that are printed
 _WATER = 18.015  # mass of a water molecule in amu
+_LIGHTEST = 2.9  # mass in amu above which hydrogens are heavy enough for a force evaluation every 8 fs
+_THEIRS = "openmm.LangevinMiddleIntegrator(300*kelvin, 5/picosecond, {}*femtoseconds)"
+
+#: The scheme for proteins in water at constant temperature, with a force evaluation every 8 fs.
+AT_8_FS = "W2_3m"
 
 
 def described(
@@ -185,19 +190,49 @@ def _periods(system: openmm.System, names: _Names, masses: Array) -> Iterator[st
 
 
 def _advice(system: openmm.System, bodies: RigidBodies, masses: Array) -> Iterator[str]:
-    """Yield the recommended settings, or a line without settings if the System contains no rigid water."""
+    """Yield the settings that docs/which.md recommends, or a line without settings if there is no rigid water."""
     if not any(len(kind.masses) == 3 and abs(kind.mass - _WATER) < 0.1 for kind in bodies.kinds):
         yield "step: not measured for such molecules; exactrb tune finds one"
         return
     flexible = fast_forces(system, bodies, MultipleTimeSteps.of("auto", None, None), masses) is not None
-    nve, fs, what = ("W2_1", 4.0, "proteins in water") if flexible else ("W4_4", 2.0, "rigid water")
-    nvt = splitting("W2_3m")
-    resonance = Resonances(system, masses=masses).first(nvt) if flexible else None
-    longest = 4.0 if resonance is None else min(4.0, 1000.0 * resonance.below(nvt))
-    yield f'constant energy: rb.ExactRigidBodyIntegrator(forceInterval={fs:g}*femtoseconds, scheme="{nve}")'
-    yield (
-        "constant temperature: rb.ExactRigidBodyLangevinIntegrator(300*kelvin, 5/picosecond, "
-        f'forceInterval={longest:g}*femtoseconds, scheme="{nvt.name}")'
-    )
+    yield from _of_proteins(system, masses) if flexible else _of_water()
     page = "Which integrator, scheme and step, which names where OpenMM is as good"
-    yield f"these steps were measured on {what} (documentation: {page})"
+    yield f"these steps were measured on {'proteins in water' if flexible else 'rigid water'} (documentation: {page})"
+
+
+def _of_water() -> Iterator[str]:
+    yield f"constant energy: {_ours(2.0, 'W4_4')}"
+    yield f"constant temperature: {_THEIRS.format(4)}"
+    yield f"constant temperature, with correct temperatures in reports: {_ours(4.0, 'W2_4g', langevin=True)}"
+
+
+def _of_proteins(system: openmm.System, masses: Array) -> Iterator[str]:
+    """Yield the settings for the masses of the System, and those that heavier hydrogens allow."""
+    real = parameters.masses(system)
+    heavy = real[real > 0.0].min() > _LIGHTEST
+    scheme = splitting(AT_8_FS)
+    resonance = Resonances(system, masses=masses).first(scheme)
+    longest = math.inf if resonance is None else 1000.0 * resonance.below(scheme)
+    interval = min(8.0 if heavy else 4.0, longest)
+    yield f"constant energy: {_ours(4.0, 'W2_1')}"
+    ours = _ours(interval, AT_8_FS, langevin=True)
+    if interval == 4.0:
+        yield f"constant temperature: {_THEIRS.format(4)}"
+        yield f"constant temperature, with correct temperatures in reports: {ours}"
+    else:
+        yield f"constant temperature: {ours}"
+    if interval == 8.0:
+        yield f"as fast, but hotter in reports, with constraints=AllBonds: {_THEIRS.format(8)}"
+    elif not heavy:
+        yield (
+            "half the cost at constant temperature: constraints=HBonds and hydrogens of 3 amu, also in water "
+            f"(--hydrogen-mass 3, or rb.heavy_hydrogens), allow forceInterval=8*femtoseconds with {AT_8_FS}"
+        )
+
+
+def _ours(interval: float, scheme: str, langevin: bool = False) -> str:
+    """Return the call that creates an integrator, for a time in fs between two force evaluations."""
+    settings = f'forceInterval={interval:g}*femtoseconds, scheme="{scheme}"'
+    if langevin:
+        return f"rb.ExactRigidBodyLangevinIntegrator(300*kelvin, 5/picosecond, {settings})"
+    return f"rb.ExactRigidBodyIntegrator({settings})"

@@ -10,9 +10,10 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 import openmm
-from openmm import app
+from openmm import app, unit
 
 from openmm_exactrb.command.inputs import Box, begin_at
+from openmm_exactrb.command.progress import counted, waiting
 from openmm_exactrb.context.solver import mended
 from openmm_exactrb.errors import ShapeWarning, UnreachableError
 from openmm_exactrb.integrators.langevin import ExactRigidBodyLangevinIntegrator
@@ -122,16 +123,25 @@ def _equilibrated(
             flexible = len(integrator.bodyState()[0].clusters) > 0  # only OpenMM's minimiser supports clusters
         if flexible and (why := why_not_by_default(platform.getName())):
             warn(f"{why}: use --platform CPU if this run ends without a message")
-        minimise(integrator)
+        with waiting("minimising", args.quiet):
+            minimise(integrator)
         integrator.setVelocitiesToTemperature(args.temperature, args.seed)
         length = length_of(args)
         if length and not args.quiet:
             print(f"equilibrating for {length:g} ps (--equilibrate)", file=sys.stderr, flush=True)
-        for _ in heat(integrator, simulation.context, length):
-            interrupts.check()
+        reached = _femtoseconds(simulation)
+        with counted("equilibrating", round(1000.0 * length), "fs", args.quiet) as tell:
+            for _ in heat(integrator, simulation.context, length):
+                interrupts.check()
+                before, reached = reached, _femtoseconds(simulation)
+                tell(reached - before)
     simulation.context.setTime(0.0)
     simulation.context.setStepCount(0)
     return simulation.context.getState(positions=True, velocities=True, parameters=True)
+
+
+def _femtoseconds(simulation: app.Simulation) -> int:
+    return round(simulation.context.getTime().value_in_unit(unit.femtosecond))
 
 
 def _store(job: Run, name: str, text: str) -> None:

@@ -12,7 +12,7 @@ import openmm
 
 import openmm_exactrb
 from openmm_exactrb.command import inputs
-from openmm_exactrb.command.description import described
+from openmm_exactrb.command.description import AT_8_FS, described
 from openmm_exactrb.engines import ENGINES
 from openmm_exactrb.integrators.states import read_xml
 from openmm_exactrb.openmm_access.platforms import platforms, why_not_by_default
@@ -27,8 +27,8 @@ PURPOSE = (
 )
 
 _INTEGRATORS = [name for name in openmm_exactrb.__all__ if name.endswith("Integrator")]
-# Schemes whose uses the page "Which integrator, scheme and step" of the documentation describes.
-_RECOMMENDED = ("W2_1", "W4_4", "W2_3m")
+# Schemes that docs/which.md recommends.
+_RECOMMENDED = ("W2_1", "W4_4", "W2_4g", AT_8_FS)
 _LIBRARIES = ("numpy", "scipy", "numba", "matplotlib")
 
 

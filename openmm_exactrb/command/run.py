@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -13,8 +11,9 @@ import openmm
 from openmm import app
 
 from openmm_exactrb.averages import PressureOffset, pressure_offset
-from openmm_exactrb.command import analysis, arguments, equilibration, inputs, setup
+from openmm_exactrb.command import analysis, arguments, equilibration, inputs, progress, setup
 from openmm_exactrb.integrators.integrator import DEFAULT
+from openmm_exactrb.library.library import missing
 from openmm_exactrb.openmm_access.platforms import mixed, platform_of
 from openmm_exactrb.reporters import EnergyReporter
 from openmm_exactrb.runs import Run
@@ -160,6 +159,8 @@ def _simulate(
     offset: PressureOffset | None,
 ) -> None:
     """Equilibrate the system, run the simulation, and print and draw the results."""
+    with progress.waiting("compiling the library", args.quiet):
+        missing()  # compiles it, once on a machine
     start = equilibration.start_of(job, args, box, platform)
     options, step = equilibration.step_of(job, args, box, start, platform)
     setup.pace(box.system, step)
@@ -172,7 +173,7 @@ def _simulate(
         job.add_reporter(reporter, name, max(1, round(args.interval / step)))
     steps = integrator.stepsFor(args.duration)
     print(f"{args.duration:g} ps are {steps} steps of {integrator!r}", flush=True)
-    with _progress_bar(f"{args.ensemble}, {integrator.getScheme().name}", steps, args.quiet) as tell:
+    with progress.counted(f"{args.ensemble}, {integrator.getScheme().name}", steps, "step", args.quiet) as tell:
         job.advance(simulation, steps, tell)
     if args.picture:
         analysis.draw(job.folder, args.ensemble)
@@ -185,16 +186,3 @@ def _reporters(args: argparse.Namespace) -> dict[str, Callable[..., Any]]:
     if args.ensemble == "npt":
         reporters[analysis.VOLUME] = partial(app.StateDataReporter, step=True, time=True, volume=True, density=True)
     return reporters
-
-
-@contextmanager
-def _progress_bar(name: str, steps: int, quiet: bool) -> Iterator[Callable[[int], object]]:
-    """Yield a function that counts steps in a progress bar on stderr or, without tqdm, does nothing."""
-    try:
-        from tqdm import tqdm
-    except ModuleNotFoundError:
-        yield lambda steps: None
-        return
-    pause = 0.2 if sys.stderr.isatty() else 10.0
-    with tqdm(total=steps, desc=name, unit="step", mininterval=pause, delay=pause, disable=quiet) as bar:
-        yield bar.update

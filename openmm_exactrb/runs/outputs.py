@@ -7,6 +7,7 @@ import inspect
 import io
 import sys
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +38,7 @@ class Outputs:
         """The names of the files."""
         return tuple(self._factories)
 
-    def add(self, factory: Callable[..., Any], name: str, interval: int) -> None:
+    def add(self, factory: Callable[..., Any], name: str, interval: int, options: Mapping[str, Any]) -> None:
         """Add a file; see `Run.add_reporter`."""
         if not callable(factory):
             raise ValueError(f"a reporter must be a class such as openmm.app.DCDReporter, not {shown(factory)}")
@@ -51,7 +52,11 @@ class Outputs:
                 f"{_name_of(factory)} cannot resume a file, because this class has no argument append=: use a "
                 "reporter with append=, such as DCDReporter, or append this reporter to simulation.reporters"
             )
-        self._factories[name] = factory, interval
+        try:
+            inspect.signature(factory).bind(name, interval, append=False, **options)
+        except TypeError as error:
+            raise ValueError(f"{_name_of(factory)} does not accept these options: {error}") from None
+        self._factories[name] = partial(factory, **options) if options else factory, interval
 
     def identity(self) -> dict[str, str]:
         """Return the reporter of each file with its options and interval, as text."""

@@ -137,26 +137,28 @@ class Run:
             )
         return file
 
-    def add_reporter(self, reporter: Callable[..., Any], name: str, interval: int) -> None:
+    def add_reporter(self, reporter: Callable[..., Any], name: str, interval: int, **options: Any) -> None:
         """Add an output file.
 
         Parameters
         ----------
         reporter : callable
             Class or function that creates the reporter from the path, the interval and ``append=``, for example
-            `EnergyReporter` or OpenMM's DCDReporter and StateDataReporter. Use `functools.partial` for further options.
+            `EnergyReporter` or OpenMM's DCDReporter and StateDataReporter.
         name : str
             Name of the file in the folder, or its path relative to the folder.
         interval : int
             Number of steps between two reports; the initial state is also reported.
+        **options
+            Further arguments of the reporter, such as ``step=True, density=True`` for StateDataReporter.
 
         Raises
         ------
         FileExistsError
             If the file may not be written; see `path`.
         ValueError
-            If the interval is not a positive whole number, the reporter takes no ``append=``, or the file is outside
-            the folder or belongs to another reporter or to the run itself.
+            If the interval is not a positive whole number, the reporter takes no ``append=`` or not one of the options,
+            or the file is outside the folder or belongs to another reporter or to the run itself.
         """
         name = os.path.normpath(name)
         if Path(name).is_absolute() or Path(name).parts[:1] in ((), (os.pardir,)):
@@ -167,7 +169,7 @@ class Run:
         steps = whole(interval, "interval", of="steps")
         if steps >= 2**31:  # trajectories store 32 bits
             raise ValueError(f"interval must be below {2**31} steps, not {steps}: use a shorter interval")
-        self._outputs.add(reporter, name, steps)
+        self._outputs.add(reporter, name, steps, options)
 
     def advance(self, simulation: Any, until: int, progress: Callable[[int], object] | None = None) -> None:
         """Advance a Simulation to step `until`, from its initial state or from the checkpoint.

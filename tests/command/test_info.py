@@ -10,7 +10,7 @@ import pytest
 from openmm import app
 
 import openmm_exactrb as rb
-from openmm_exactrb.command.description import described
+from openmm_exactrb.command.description import AT_8_FS, described
 from openmm_exactrb.command.main import main
 from peptides import in_water
 from starts import context_of
@@ -62,6 +62,7 @@ def test_water_in_a_pdb_file_is_bodies_with_virtual_sites_and_has_a_step(droplet
     assert "8 rigid bodies of 3 particles (HOH): 6 degrees of freedom, moments 0.006145 0.01155 0.0177 amu nm²" in lines
     assert "degrees of freedom: 24 of translation and vibration, 24 of rotation" in lines
     assert 'ExactRigidBodyIntegrator(forceInterval=2*femtoseconds, scheme="W4_4")' in lines
+    assert "constant temperature: openmm.LangevinMiddleIntegrator(300*kelvin, 5/picosecond, 4*femtoseconds)" in lines
     assert "everything is supported" in lines
 
 
@@ -131,19 +132,34 @@ def test_a_peptide_in_water_gets_its_bonded_forces_nested_and_its_periods_named(
 
 
 @pytest.mark.parametrize(
-    ("constraints", "mass", "interval"), [("HBonds", None, 4.0), ("HBonds", 3.0, 4.0), ("None", None, 3.3)]
+    ("constraints", "mass", "interval"),
+    [("HBonds", None, 4.0), ("HBonds", 3.0, 8.0), ("AllBonds", 3.0, 8.0), ("None", None, 3.3), ("None", 3.0, 7.8)],
 )
 def test_the_interval_at_constant_temperature_is_one_that_no_warning_follows(constraints, mass, interval):
     topology, system, positions = in_water(constraints)
     if mass is not None:
         rb.heavy_hydrogens(system, topology, mass)
     lines = list(described(system, openmm.unit.Quantity(positions, openmm.unit.nanometer), topology))
-    (line,) = (line for line in lines if line.startswith("constant temperature"))
-    assert f"forceInterval={interval:g}*femtoseconds" in line
-    integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 5.0, forceInterval=1e-3 * interval, scheme="W2_3m")
+    (line,) = (line for line in lines if line.startswith("constant temperature") and "rb." in line)
+    assert f'forceInterval={interval:g}*femtoseconds, scheme="{AT_8_FS}"' in line
+    integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 5.0, forceInterval=1e-3 * interval, scheme=AT_8_FS)
     _context = context_of(system, integrator, positions)
     integrator.setVelocitiesToTemperature(300.0, 1)
     integrator.step(1)  # a warning would be an error
+
+
+@pytest.mark.parametrize(
+    ("mass", "theirs", "hint"), [(None, 4, "--hydrogen-mass 3"), (3.0, 8, "with constraints=AllBonds")]
+)
+def test_openmm_at_the_same_cost_is_named_for_a_protein(mass, theirs, hint):
+    """And for light hydrogens the masses that allow 8 fs; those of the solute alone are not enough."""
+    topology, system, positions = in_water("HBonds")
+    if mass is not None:
+        rb.heavy_hydrogens(system, topology, mass)
+    lines = "\n".join(described(system, openmm.unit.Quantity(positions, openmm.unit.nanometer), topology))
+    assert f"openmm.LangevinMiddleIntegrator(300*kelvin, 5/picosecond, {theirs}*femtoseconds)" in lines
+    assert hint in lines
+    assert ("--hydrogen-mass" in lines) == (mass is None)
 
 
 def pairs_of(n, longer):

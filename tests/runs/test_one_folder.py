@@ -1,7 +1,5 @@
 """Scripts that advance more than once, two processes in one folder, and refusals before anything is lost."""
 
-import functools
-
 import numpy as np
 import openmm
 import pytest
@@ -111,14 +109,26 @@ def test_a_reporter_that_would_spoil_a_file_is_refused(tmp_path, name, reporter,
         run.add_reporter(reporter, name, 5)
 
 
-def table_of(**columns):
-    return functools.partial(app.StateDataReporter, step=True, **columns)
+@pytest.mark.parametrize(
+    ("reporter", "options", "message"),
+    [
+        (app.StateDataReporter, {"densities": True}, r"StateDataReporter does not accept .*'densities'"),
+        (rb.EnergyReporter, {"step": True}, r"EnergyReporter does not accept .*'step'"),
+        (app.DCDReporter, {"append": True}, r"DCDReporter does not accept .*'append'"),
+        (app.DCDReporter, {"reportInterval": 5}, r"DCDReporter does not accept .*'reportInterval'"),
+        (app.PDBReporter, {"enforcePeriodicBox": False}, "PDBReporter cannot resume a file"),
+    ],
+)
+def test_options_that_a_reporter_does_not_take_are_refused_at_once(tmp_path, reporter, options, message):
+    run = make(tmp_path)
+    with pytest.raises(ValueError, match=message):
+        run.add_reporter(reporter, "other", 5, **options)
 
 
 def test_other_columns_are_another_run(tmp_path):
     for columns in ({"potentialEnergy": True}, {"potentialEnergy": True}, {"temperature": True}):
         run = rb.Run(tmp_path, resume=True)
-        run.add_reporter(table_of(**columns), "log.csv", 5)
+        run.add_reporter(app.StateDataReporter, "log.csv", 5, step=True, **columns)
         if "temperature" in columns:
             with pytest.raises(ValueError, match=r"file log.csv was .*potentialEnergy.*temperature"):
                 run.advance(droplet(), 20)

@@ -1,7 +1,6 @@
 """A run that goes on writes what it would have written without a break."""
 
 import signal
-from functools import partial
 from pathlib import Path
 
 import mdtraj
@@ -114,12 +113,11 @@ def test_a_checkpoint_that_could_not_be_written_leaves_the_one_before(half, monk
 
 def test_other_reporters_and_integrators_can_be_used(tmp_path):
     topology, system, positions = rb.rigid_water(8)
-    table = partial(app.StateDataReporter, step=True, potentialEnergy=True)
     for name, stops in (("whole", [20]), ("parts", [9, 20])):
         for until in stops:
             simulation = simulation_of(topology, system, openmm.VerletIntegrator(0.001), positions)
             run = rb.Run(tmp_path / name, resume=True)
-            run.add_reporter(table, "log.csv", 5)
+            run.add_reporter(app.StateDataReporter, "log.csv", 5, step=True, potentialEnergy=True)
             run.advance(simulation, until)
     assert (tmp_path / "parts" / "log.csv").read_text(encoding="utf-8") == (tmp_path / "whole" / "log.csv").read_text(
         encoding="utf-8"
