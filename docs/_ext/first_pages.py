@@ -89,7 +89,9 @@ def protein() -> Figure:
             y += 1.0
             right.barh(y - 0.42, bar.relative or 0.0, height=0.8, color=bar.colour)
             inside = bar.relative is not None
-            right.text(0.04, y - 0.42, bar.label, va="center", size=9.5, color="white" if bar.colour == OURS else "black")
+            right.text(
+                0.04, y - 0.42, bar.label, va="center", size=9.5, color="white" if bar.colour == OURS else "black"
+            )
             at = max(bar.relative or 0.0, 1.72 if not inside else 0.0) + 0.04
             right.text(at, y - 0.42, bar.note, va="center", size=9.5, weight="bold" if inside else "normal")
         y += 1.1
@@ -179,14 +181,19 @@ def kicks() -> tuple[float, list[float]]:
     return step, found
 
 
+def evaluations(number: int) -> str:
+    """Return a number of force evaluations as text."""
+    return "one force evaluation" if number == 1 else f"{number} force evaluations"
+
+
 def steps() -> Figure:
     """Return two time lines, of OpenMM's integrator and of this package, with forces, frames and barostat."""
     step, forces = kicks()
     end = 48.0
     figure, axes = plt.subplots(figsize=(5.8, 3.6), layout="constrained")
     lines = (
-        (2.0, "LangevinMiddleIntegrator, 4 fs: a step is one force evaluation", THEIRS, 4.0, [4.0]),
-        (0.0, f"{AT_8_FS}, forceInterval = 8 fs: a step of {step:g} fs is {len(forces)}", OURS, step, forces),
+        (2.0, f"LangevinMiddleIntegrator at 4 fs: a step is {evaluations(1)}", THEIRS, 4.0, [4.0]),
+        (0.0, f"{AT_8_FS} at 8 fs: a step of {step:g} fs is {evaluations(len(forces))}", OURS, step, forces),
     )
     for y, title, colour, length, within in lines:
         axes.text(0.0, y + 0.75, title, size=11, weight="bold", color="black")
@@ -196,16 +203,17 @@ def steps() -> Figure:
             axes.text(start + 0.5 * length, y - 0.55, f"{number + 1}", ha="center", va="center", size=10)
             axes.vlines([start + t for t in within], y - 0.3, y + 0.42, color=colour, lw=3.0)
         axes.text(end + 0.6, y - 0.55, "step", size=10, va="center")
-    for t in (step, 2.0 * step):
+    for t in np.arange(step, end + 1.0, step):
         axes.plot(t, -0.95, marker="^", color="black", ms=8)
-    axes.text(0.0, -1.02, "frame, barostat:", size=10, va="center")
     axes.annotate("", (end + 3.0, -1.45), (0.0, -1.45), arrowprops={"arrowstyle": "->"})
     for t in range(0, 49, 8):
         axes.plot([t, t], [-1.5, -1.4], color="black", lw=1.0)
         axes.text(t, -1.72, f"{t}", ha="center", va="center", size=10)
     axes.text(end + 3.4, -1.72, "fs", va="center", size=10)
     axes.vlines(1.0, 3.25, 3.55, color=GREY, lw=3.0)
-    axes.text(2.2, 3.4, "a vertical bar: all forces are evaluated", va="center", size=10)
+    axes.text(2.2, 3.4, "forces are evaluated", va="center", size=10)
+    axes.plot(22.0, 3.4, marker="^", color="black", ms=8)
+    axes.text(23.5, 3.4, "a barostat may act, a frame is written", va="center", size=10)
     axes.set_xlim(-1.0, end + 5.5)
     axes.set_ylim(-2.0, 3.7)
     axes.axis("off")

@@ -141,7 +141,7 @@ def _equilibrated(
 
 
 def _femtoseconds(simulation: app.Simulation) -> int:
-    return round(simulation.context.getTime().value_in_unit(unit.femtosecond))
+    return round(float(simulation.context.getTime().value_in_unit(unit.femtosecond)))
 
 
 def _store(job: Run, name: str, text: str) -> None:

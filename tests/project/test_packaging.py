@@ -88,7 +88,7 @@ def test_the_citation_is_of_this_version():
 
 
 def test_the_readme_is_short():
-    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 90
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 75
 
 
 def test_addresses_are_the_same_everywhere():
@@ -98,6 +98,9 @@ def test_addresses_are_the_same_everywhere():
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     for name, in_citation in (("repository", "repository-code"), ("documentation", "url")):
         assert RECIPE["about"].get(name, "") == citation.get(in_citation, "") == addresses[name]
+    clone = f"git clone {addresses['repository'] or 'ADDRESS-OF-THIS-REPOSITORY'} openmm-exactrb"
+    for page in ("README.md", "docs/install.md"):
+        assert clone in (ROOT / page).read_text(encoding="utf-8")
 
 
 def test_a_site_has_all_versions_and_leads_to_the_newest_release(tmp_path):
