@@ -64,7 +64,7 @@ def test_energies_with_plain_hydrogens_deviate_as_the_page_says():
 
 
 def test_the_correction_of_a_peptide_in_water_is_that_of_its_page():
-    page = " ".join((DOCS / "explanation/protein-8fs.md").read_text(encoding="utf-8").split())
+    page = " ".join((DOCS / "explanation/any-molecule.md").read_text(encoding="utf-8").split())
     volume, pressure = (
         with_error(-float(row["U"]), float(row["U error"]), 2)
         for ensemble in ("NVT", "NPT")

@@ -9,7 +9,7 @@ PAGES = {
     "index": DOCS / "index.md",
     "which": DOCS / "which.md",
     "gpu": DOCS / "how-to/gpu.md",
-    "protein": DOCS / "explanation/protein-8fs.md",
+    "protein": DOCS / "explanation/any-molecule.md",
     "joss": DOCS / "appendix/joss.md",
     "changes": ROOT / "CHANGELOG.md",
 }

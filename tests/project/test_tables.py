@@ -84,7 +84,7 @@ def test_figures_have_two_digits_and_one_below_one(value, text):
 
 
 def test_figures_of_the_protein_tutorial_are_those_of_the_records():
-    measured, tutorial = page("docs/explanation/protein-8fs.md"), page("docs/tutorials/protein-8fs.md")
+    measured, tutorial = page("docs/explanation/any-molecule.md"), page("docs/tutorials/protein-8fs.md")
     for row in tables.populations().splitlines()[2:]:
         assert row.split("|")[4].strip() in measured
     (villin,) = [row for row in tables.villin_steps().splitlines() if "| `W2_3m` |" in row]
@@ -171,7 +171,7 @@ def test_openmm_at_8_fs_is_as_the_record_has_it_with_the_runs_that_ended():
     assert f"{tables.ended(ours)} ended" in tutorial
     light = [row for row in tables.rows("protein_steps") if (row["integrator"], row["fs"]) == ("LangevinMiddle", "6.0")]
     assert tables.ended(light) == "0 of 3 runs of 100 ps"
-    assert "none of three runs of `LangevinMiddleIntegrator` at 6 fs ended" in page("docs/explanation/protein-8fs.md")
+    assert "none of three runs of `LangevinMiddleIntegrator` at 6 fs ended" in page("docs/explanation/any-molecule.md")
 
 
 def test_the_reciprocal_part_in_outer_steps_gains_nothing_at_the_same_cost():
