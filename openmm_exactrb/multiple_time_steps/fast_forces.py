@@ -27,7 +27,7 @@ from openmm_exactrb.support.warn import warn
 # normal modes. The pairs are for outer schemes of order 2, for those of higher order or with force gradients, and for
 # those of order 2 with a heat exchange within the step, whose drifts have equal or unequal lengths. High-order outer
 # schemes need a finer inner scheme: with S2_2, or with SRKN4_6b at 16 kicks per period, the error of the inner steps
-# dominated at 2000 outer force evaluations per ps (docs: Any molecule). Schemes with a heat exchange within the step
+# dominated at 2000 outer force evaluations per ps. Schemes with a heat exchange within the step
 # are used for averages. With 0.198 instead of the 0.193 of S2_2, the mean energies of the bonds and of the angles of a
 # protein have errors of opposite signs of at most 0.15 %, and the energy of a mode has one of at most 1.8 %. Drifts of
 # unequal lengths are different maps for the same mode, and the exchange of energy between the maps is driven near
