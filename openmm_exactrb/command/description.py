@@ -66,7 +66,7 @@ def described(
     yield from _advice(system, bodies, masses)
     yield from (f"limits the energy error of any integrator: {cause}" for cause in causes(system))
     if any(causes(system)):
-        yield "exactrb tune measures this limit (documentation: Questions, answers and limits, with remedies and their cost)"
+        yield "exactrb tune measures this limit (documentation: Questions, answers and limits, on remedies and costs)"
     if positions is None:
         yield "no positions were given, so distances were not compared with the constraints"
     else:
