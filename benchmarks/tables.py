@@ -185,7 +185,8 @@ def equal_protein_costs() -> str:
     found = [row for row in rows("protein_steps") if all(row[key] == value for key, value in of_point.items())]
     names = {"T_rot": 1, "T_rot reported": 1, "T_solute": 1, "T_solute reported": 1, "U": 2}
     body = []
-    for method, fs, constraints in ((LFM, "2.0", "HBonds"), (LFM, "8.0", "AllBonds"), ("W2_3m", "8.0", "HBonds")):
+    theirs = (LFM, "2.0", "HBonds"), (LFM, "8.0", "AllBonds")
+    for method, fs, constraints in (*theirs, ("BAOA", "8.0", "HBonds"), ("W2_3m", "8.0", "HBonds")):
         some = [row for row in found if (row["integrator"], row["fs"], row["constraints"]) == (method, fs, constraints)]
         label = f"{THEIRS.get(method, f'`{method}`')}, {float(fs):g} fs, `{constraints}`"
         body.append((label, ended(some), *(mean_of(some, *column) for column in names.items())))
