@@ -7,7 +7,13 @@ from openmm_exactrb.engines.host.record import HOST
 from openmm_exactrb.engines.native.record import NATIVE
 
 #: All engines by name. A new engine is added as a further entry, which "auto" tries before the host.
-ENGINES: dict[str, Engine] = {engine.name: engine for engine in (HOST, NATIVE)}
+ENGINES: dict[str, Engine] = {
+    engine.name: engine
+    for engine in (
+        HOST,
+        NATIVE,
+    )
+}
 
 _FORMER_NAMES = {"device": "native"}
 

@@ -51,7 +51,8 @@ class Scheme:
     Raises
     ------
     ValueError
-        If the sequence is empty, or contains anything other than substeps.
+        If the sequence is empty, or contains anything other than substeps, or if a kick by stored forces is not part of
+        the output.
     """
 
     name: str
@@ -74,6 +75,12 @@ class Scheme:
                     f"not {row!r}: "
                     'use schemes.spelled("B A B"), which returns the sequence for a string of symbols'
                 )
+        stored = self._stored((*self.sequence, *self.processor))
+        if any(type(substep).bind is LastForcesKick.bind for substep in stored):
+            raise ValueError(
+                f"scheme {self.name}: a kick by stored forces is for the output of a processed scheme alone: use "
+                "output= for LastForcesKick"
+            )
 
     def __repr__(self) -> str:
         """Return the name and the main properties."""
@@ -154,10 +161,14 @@ class Scheme:
         """Number of force evaluations of the processor and its exact inverse together, for one application of each."""
         return 2 * sum(substep.kicks for substep, _ in self.processor)
 
+    @staticmethod
+    def _stored(rows: Substeps) -> list[LastForcesKick]:
+        return [substep for substep, _ in rows if isinstance(substep, LastForcesKick)]
+
     @property
     def memory(self) -> tuple[int, int]:
         """Numbers of forces of the last kicks, and of differences of displaced forces, that the output needs."""
-        last = [substep for substep, _ in self.output if isinstance(substep, LastForcesKick)]
+        last = self._stored(self.output)
         return max((len(s.weights) for s in last), default=0), max((len(s.differences) for s in last), default=0)
 
     @property

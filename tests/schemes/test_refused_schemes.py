@@ -5,7 +5,7 @@ from functools import partial
 import openmm_exactrb as rb
 from openmm_exactrb.schemes import WITH_THERMOSTAT, Scheme, scheme, shadow, stability_limit, symmetric
 from openmm_exactrb.steps.sequence import run, spelled
-from openmm_exactrb.steps.substeps import DRIFT, HEAT_EXCHANGE, KICK, Kick, Substep
+from openmm_exactrb.steps.substeps import DRIFT, HEAT_EXCHANGE, KICK, Kick, LastForcesKick, Substep
 from refusals import assert_refused, for_each, refused
 
 PAIRS = "scheme mine: .* pairs of a Substep and its fraction of the step, not"
@@ -15,6 +15,7 @@ class Silent(Substep):
     """A substep that does not say what it does."""
 
 
+STORED = LastForcesKick((1.0,))
 NO_PAIRS = ("A", 1.0), DRIFT, (DRIFT, 0.5, 0.5), (Kick, 1.0), (Silent, 1.0)
 
 
@@ -31,6 +32,8 @@ def mine(*rows, **options):
     (lambda: mine(), "scheme mine: the sequence of a step must contain"),
     *for_each(lambda wrong: mine((DRIFT, 0.5), wrong, (DRIFT, 0.5)), PAIRS, NO_PAIRS),
     *for_each(lambda wrong: mine((DRIFT, 1.0), processor=(wrong,)), PAIRS, NO_PAIRS),
+    (lambda: mine((DRIFT, 1.0), (STORED, 1.0)), "stored forces is for the output .* use output="),
+    (lambda: mine((DRIFT, 1.0), processor=((STORED, 1.0),)), "stored forces is for the output .* use output="),
     *(
         (partial(scheme, name), f"did you mean '{meant}'")
         for name, meant in [

@@ -99,6 +99,10 @@ def integrator_of(thing, **arguments):
     middle = ((DRIFT, 0.5), (thing, 1.0), (DRIFT, 0.5)) if isinstance(thing, HeatExchange) else ((DRIFT, 1.0),)
     rows = (KICK, 0.5), *middle, (KICK, 0.5)
     thermostat = Langevin(300.0, 1.0) if isinstance(thing, HeatExchange) else None
+    if isinstance(thing, LastForcesKick):
+        V2 = rb.SCHEMES["V2_drift"].sequence
+        scheme = Scheme("mine", 2, V2, processor=((DRIFT, 0.1),), output=((DRIFT, -0.1), (thing, 0.1)))
+        return rb.ExactRigidBodyIntegrator(0.001, scheme, **arguments)
     if not isinstance(thing, HeatExchange):
         rows = (thing, 0.5), *rows, (thing, 0.5)
     return rb.ExactRigidBodyIntegrator(0.001, Scheme("mine", 2, rows), thermostat=thermostat, **arguments)
