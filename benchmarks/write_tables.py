@@ -10,23 +10,23 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from inspect import isfunction
 from pathlib import Path
+from types import ModuleType
 
 from benchmarks import tables
 from benchmarks.common.markdown import rows, table
 from benchmarks.common.provenance import OF_RUN, PROVENANCE
 from benchmarks.common.records import DOCS
-from benchmarks.constraints.martini_rings import martini_rings
-from benchmarks.constraints.small_molecules import small_molecules
+from benchmarks.constraints import martini_rings, small_molecules
 from benchmarks.cost import tables as of_cost
 from benchmarks.device import tables as of_device
 from benchmarks.dipoles import tables as of_dipoles
+from benchmarks.proteins import corrected_steps
 from benchmarks.proteins import tables as of_proteins
-from benchmarks.proteins.corrected_steps import corrected_steps
 from benchmarks.schemes import tables as of_schemes
+from benchmarks.water import corrected_water, droplet_averages, tip4p2005
 from benchmarks.water import tables as of_water
-from benchmarks.water.corrected_water import corrected_water, corrected_water_agreement
-from benchmarks.water.droplet_averages import droplet_averages
 from benchmarks.water.equipartition_record import (
     RECORD,
     over_frictions,
@@ -34,52 +34,32 @@ from benchmarks.water.equipartition_record import (
     over_steps,
     read,
 )
-from benchmarks.water.tip4p2005 import tip4p2005
 
-#: Records that are shown as they are, without the columns of provenance.
-AS_THEY_ARE = [
-    "acceptance",
-    "cholesterol",
-    "device_drift",
-    "device_drift_peptide",
-    "device_precision",
-    "dipole_bonds",
-    "dipole_rods",
-    "dppc",
-    "ellipsoids",
-    "large_bodies",
-    "rigid_domains",
-    "rigid_domains_cost",
-]
+#: The modules whose functions return tables.
+_MODULES: tuple[ModuleType, ...] = (
+    *(tables, of_cost, of_device, of_dipoles, of_proteins, of_schemes, of_water),
+    *(martini_rings, small_molecules, corrected_steps, corrected_water, droplet_averages, tip4p2005),
+)
 _WRITTEN = re.compile(r"(?<=<!-- table: )(\w+)( -->\n)((?:\|.*\n)*)")
 
 
 def all_tables() -> dict[str, str]:
-    """Return the tables in Markdown by their names."""
-    functions = (
-        *(tables.default_energies, tables.default_stability, tables.default_temperatures),
-        *(of_cost.one_line, of_cost.small_systems, of_cost.alchemical_systems),
-        *(tables.protein_steps, tables.protein_limits, tables.villin_steps, tables.heating, tables.populations),
-        tables.equal_protein_costs,
-        *(tables.outputs, tables.validation, tables.ensembles, tables.earlier_schemes, tables.scheme_table),
-        *(tables.protein_energies, of_water.box_energies, of_water.droplet_energies),
-        *(of_water.energy_balances, of_water.reading_points, of_water.equal_costs, of_water.shadow_predictions),
-        *(of_water.energy_drifts, of_water.settings_of_forces, of_proteins.peptide_errors, of_proteins.inner_steps),
-        *(of_schemes.roundoff_errors, of_schemes.heat_exchanges, of_schemes.small_potentials, small_molecules),
-        martini_rings,
-        *(of_schemes.droplets_of_models, of_schemes.droplet_growth, of_schemes.oscillator_errors),
-        *(of_water.averages, corrected_steps, corrected_water, corrected_water_agreement, droplet_averages, tip4p2005),
-        *(of_schemes.rotors_compared, of_dipoles.dipole_costs),
-        *(of_dipoles.dipole_errors, of_dipoles.dipole_energies, of_dipoles.stockmayer_constants),
-        *(of_dipoles.ferrofluid_constants, of_dipoles.dipole_droplets),
-        *(of_device.device_costs, of_device.device_proteins),
-    )
-    shown = {name: _as_it_is(name) for name in AS_THEY_ARE}
-    return shown | {function.__name__: function() for function in functions} | dict(_equipartition())
+    """Return the tables of all pages in Markdown by their names."""
+    known = dict(_equipartition())
+    names = {name for page in pages() for name, *_ in _WRITTEN.findall(page.read_text(encoding="utf-8"))}
+    return {name: known[name] if name in known else made(name) for name in sorted(names)}
 
 
-def _as_it_is(name: str) -> str:
-    found = rows(name)
+def made(name: str) -> str:
+    """Return the table of a function, or of a record that is shown without the columns of provenance."""
+    for module in _MODULES:
+        if isfunction(function := getattr(module, name, None)):
+            return str(function())
+    if not (found := rows(name)):
+        raise ValueError(
+            f"no script has measured the table {name} of a page: write benchmarks/records/{name}.csv, or a function "
+            f"{name}() in one of the files tables.py"
+        )
     hidden = OF_RUN if set(OF_RUN) <= found[0].keys() else PROVENANCE
     columns = [column for column in found[0] if column not in hidden]
     return table([name.replace("_", " ") for name in columns], [[row[name] for name in columns] for row in found])

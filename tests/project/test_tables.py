@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+import openmm_exactrb as rb
 from benchmarks import tables, write_tables
 from benchmarks.dipoles.tables import dipole_memory, droplet_gains
 from benchmarks.water.tables import costs_of_settings, reading_points
@@ -64,6 +65,19 @@ def known():
 def test_tables_of_a_page_are_those_of_the_records(page, known):
     text = page.read_text(encoding="utf-8")
     assert text == write_tables.written(text, known), "run python benchmarks/write_tables.py"
+
+
+def test_every_scheme_is_in_the_table_or_its_benchmark_is_named():
+    """A new scheme needs no other file; the summary of the tests says what is left to do."""
+    measured = {row["scheme"] for row in tables.rows("angular_momentum")}
+    if missing := [name for name in rb.SCHEMES if name not in measured]:
+        script = "benchmarks/schemes/angular_momentum.py"
+        pytest.skip(f"for the table of schemes, run {script} --schemes {' '.join(missing)} and write_tables.py")
+
+
+def test_a_table_without_a_record_is_an_error():
+    with pytest.raises(ValueError, match=r"the table nobody_s .*: write benchmarks/records/nobody_s\.csv"):
+        write_tables.made("nobody_s")
 
 
 def test_a_table_is_written_again_below_its_name():
