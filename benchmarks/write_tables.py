@@ -22,6 +22,7 @@ from benchmarks.constraints import martini_rings, small_molecules
 from benchmarks.cost import tables as of_cost
 from benchmarks.device import tables as of_device
 from benchmarks.dipoles import tables as of_dipoles
+from benchmarks.free_energies import tables as of_free_energies
 from benchmarks.proteins import corrected_steps
 from benchmarks.proteins import tables as of_proteins
 from benchmarks.schemes import tables as of_schemes
@@ -37,7 +38,7 @@ from benchmarks.water.equipartition_record import (
 
 #: The modules whose functions return tables.
 _MODULES: tuple[ModuleType, ...] = (
-    *(tables, of_cost, of_device, of_dipoles, of_proteins, of_schemes, of_water),
+    *(tables, of_cost, of_device, of_dipoles, of_free_energies, of_proteins, of_schemes, of_water),
     *(martini_rings, small_molecules, corrected_steps, corrected_water, droplet_averages, tip4p2005),
 )
 _WRITTEN = re.compile(r"(?<=<!-- table: )(\w+)( -->\n)((?:\|.*\n)*)")

@@ -124,7 +124,6 @@ def test_no_page_or_list_besides_needs_a_change(checkout):
         "project/test_tables.py::test_every_scheme_is_in_the_table_or_its_benchmark_is_named",
         "project/test_sizes.py",
         "benchmarks/test_benchmarks.py::test_the_readme_lists_every_script_with_its_question",
-        "benchmarks/test_benchmarks.py::test_every_table_of_the_documentation_has_its_script",
         "benchmarks/test_benchmarks.py::test_every_script_has_a_record_or_is_imported",
     ]
     told = carried_out(checkout, "-m", "pytest", *(f"tests/{test}" for test in tests), "-p", "no:cacheprovider")
