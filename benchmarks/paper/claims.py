@@ -119,7 +119,7 @@ def capitalised(verdict: str) -> str:
 
 
 def summary(claims: list[tuple[str, Claim]]) -> str:
-    """Count the verdicts, the paper's claims and ours separately; list them by page, and all, in bold unless they agree.
+    """Count the verdicts, the paper's claims and ours separately, and list by page those of claims that do not agree.
 
     Parameters
     ----------
@@ -138,12 +138,6 @@ def summary(claims: list[tuple[str, Claim]]) -> str:
         others = [claim for claim in here if claim.verdict != VERDICTS[0]]
         words = "; ".join(f"{claim.sentence.rstrip('.')}: **{capitalised(claim.verdict).lower()}**" for claim in others)
         lines.append(f"| {place} | {len(here)} | {len(here) - len(others)} | {words} |")
-    lines += ["", "## All claims", "", "| where | claim of the paper | verdict |", "| --- | --- | --- |"]
-    for place, claim in papers:
-        verdict = capitalised(claim.verdict)
-        lines.append(
-            f"| {place} | {claim.sentence} | {verdict if claim.verdict == VERDICTS[0] else f'**{verdict}**'} |"
-        )
     return "\n".join(lines) + "\n"
 
 

@@ -61,11 +61,14 @@ def test_every_figure_is_shown_with_words_for_those_who_cannot_see_it(pages):
 
 
 def test_every_verdict_links_to_its_page(overview, pages):
-    every = overview.partition("## All claims")[2]
-    linked = re.findall(r"^\| \[.*?\]\(paper/(\w+)\.md\) \| (.*) \| (.*?) \|$", every, re.MULTILINE)
+    linked = re.findall(r"^\| \[.*?\]\(paper/(\w+)\.md\) \| (\d+) \| (\d+) \| (.*) \|$", overview, re.MULTILINE)
     assert {name for name, *_ in linked} == pages.keys()
-    for name, sentence, verdict in linked:
-        assert f"- *{sentence}* **{verdict.strip('*')}.**" in pages[name]
+    for name, number, agree, others in linked:
+        papers = pages[name].partition("## Beyond the paper")[0]
+        found = re.findall(r"^- \*(.*?)\* \*\*(.*?)\.\*\*$", papers, re.MULTILINE)
+        other = [(sentence.rstrip("."), verdict.lower()) for sentence, verdict in found if verdict != "Agrees"]
+        assert (len(found), len(found) - len(other)) == (int(number), int(agree))
+        assert others == "; ".join(f"{sentence}: **{verdict}**" for sentence, verdict in other)
 
 
 def written(page):
