@@ -7,9 +7,9 @@ alternate on one core. With --energies, the script instead measures the standard
 over 30 ps from the same starts, with a switch and a tight Ewald tolerance.
 
 With --long, the script measures the time per force evaluation of a protein with a force evaluation every 8 fs (`BAOA`
-and `W2_3m`, all hydrogens of 3 amu), relative to LangevinMiddleIntegrator at 4 fs with heavy hydrogens of the solute. That
-integrator at 8 fs, which needs AllBonds, shows the time that OpenMM itself needs per evaluation every 8 fs, with twice
-as many updates of the neighbour list per evaluation. With two threads, times are wall times.
+and `W2_3m`, all hydrogens of 3 amu), relative to LangevinMiddleIntegrator at 4 fs with heavy hydrogens of the solute.
+That integrator at 8 fs, which needs AllBonds, shows the time that OpenMM itself needs per evaluation every 8 fs, with
+twice as many updates of the neighbour list per evaluation. With two threads, times are wall times.
 
     python benchmarks/cost/one_line.py --residues 0
     python benchmarks/cost/one_line.py --molecules 0 --steps 20

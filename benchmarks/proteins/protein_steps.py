@@ -80,17 +80,17 @@ KINDS = {
 TEMPERATURES = ("T_tr", "T_rot", "T_solute", "T_centres", "T_XH", "T_rot reported", "T_solute reported")
 MEASURED = (*TEMPERATURES, "U", *KINDS, "density", "peak", "D", *CONFORMATIONS, "ms")
 RUN = ("solute", "integrator", "masses", "constraints", "fs", "friction", "ensemble", "picoseconds", "seed")
-# Of the picture: points of the peptide at constant volume and 5/ps, by integrator, masses and fs, and their groups.
+# Of the picture: points of the peptide at constant volume and 5/ps, with hydrogens of 3 amu, and their temperatures.
 SHOWN = {
-    ("LangevinMiddle", "all", "2.0"): ("LangevinMiddleIntegrator, 2 fs, heavy hydrogens", "#E69F00", "s"),
-    ("LangevinMiddle", "plain", "4.0"): ("LangevinMiddleIntegrator, 4 fs", "#D55E00", "o"),
-    ("W2_3m", "all", "8.0"): ("W2_3m, a force evaluation every 8 fs, heavy hydrogens", "#0072B2", "D"),
+    ("LangevinMiddle", "HBonds", "2.0"): ("OpenMM, 2 fs", "0.4", "s"),
+    ("LangevinMiddle", "AllBonds", "8.0"): ("OpenMM, 8 fs, AllBonds", "#E69F00", "o"),
+    ("BAOA", "HBonds", "8.0"): ("BAOA, 8 fs", "#0072B2", "D"),
+    ("W2_3m", "HBonds", "8.0"): ("W2_3m, 8 fs", "#56B4E9", "^"),
 }
-GROUPS = {
+TEMPERATURES = {
     "T_tr": "water,\ntranslation",
     "T_rot reported": "water,\nrotation",
-    "T_centres": "solute,\ngroups",
-    "T_XH": "solute,\nX-H",
+    "T_solute reported": "peptide",
 }
 
 
@@ -294,30 +294,28 @@ def summary(rows: dict[tuple[str, ...], Row]) -> Iterator[str]:
 
 
 def draw(rows: dict[tuple[str, ...], Row], file: Path) -> None:
-    """Draw the temperatures of the groups, as a State has them, and the energy of a molecule of water."""
-    figure, (left, right) = plt.subplots(
-        1, 2, figsize=(9.0, 4.0), layout="constrained", gridspec_kw={"width_ratios": [4, 1]}
-    )
-    of_peptide = {"solute": "peptide", "friction": "5.0", "ensemble": "NVT", "constraints": "HBonds"}
-    places = np.arange(len(GROUPS))
-    for k, ((integrator, masses, fs), (label, colour, marker)) in enumerate(SHOWN.items()):
-        point = of_peptide | {"integrator": integrator, "masses": masses, "fs": fs}
+    """Draw temperatures as a State has them, and the energy of a molecule of water."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(7.0, 3.8), layout="constrained", width_ratios=(2.6, 1.0))
+    of_peptide = {"solute": "peptide", "masses": "all", "friction": "5.0", "ensemble": "NVT"}
+    places = np.arange(len(TEMPERATURES))
+    for k, ((integrator, constraints, fs), (label, colour, marker)) in enumerate(SHOWN.items()):
+        point = of_peptide | {"integrator": integrator, "constraints": constraints, "fs": fs}
         runs = [row for row in rows.values() if all(row[name] == value for name, value in point.items())]
         runs = [row for row in runs if math.isfinite(float(row["U"]))]
         if len(runs) < 2:
             continue
-        style = {"fmt": marker, "color": colour, "capsize": 3, "ms": 6}
-        values = np.array([[float(row[name]) for name in (*GROUPS, "U")] for row in runs])
+        style = {"fmt": marker, "color": colour, "capsize": 3, "ms": 7}
+        values = np.array([[float(row[name]) for name in (*TEMPERATURES, "U")] for row in runs])
         means, errors = values.mean(axis=0), values.std(axis=0, ddof=1) / math.sqrt(len(runs))
-        left.errorbar(places + 0.16 * (k - 1), means[:-1], errors[:-1], label=label, **style)
+        left.errorbar(places + 0.16 * (k - 1.5), means[:-1], errors[:-1], label=label, **style)
         right.errorbar([k], means[-1:], errors[-1:], **style)
     left.axhline(TEMPERATURE, color="0.5", lw=1, zorder=0)
-    left.set_xticks(places, GROUPS.values())
-    left.set_ylabel("temperature (K)")
-    left.legend(frameon=False)
+    left.set_xticks(places, TEMPERATURES.values())
+    left.set_ylabel("temperature as reported (K)")
+    left.legend(frameon=False, loc="upper left")
     right.set_xlim(-1, len(SHOWN))
     right.set_xticks([])
-    right.set_ylabel("potential energy (kJ/mol per molecule of water)")
+    right.set_ylabel("potential energy (kJ/mol per water)")
     for axes in (left, right):
         axes.spines[["top", "right"]].set_visible(False)
     figure.savefig(file, dpi=150)

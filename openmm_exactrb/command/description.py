@@ -26,6 +26,7 @@ from openmm_exactrb.multiple_time_steps.stiffness import frequencies
 from openmm_exactrb.openmm_access import arrays, parameters
 from openmm_exactrb.schemes import splitting
 from openmm_exactrb.support.types import Array
+from openmm_exactrb.thermostats import Langevin
 from openmm_exactrb.tuning.floor import causes
 
 _SHOWN = 3  # largest number of periods that are printed
@@ -33,8 +34,8 @@ _WATER = 18.015  # mass of a water molecule in amu
 _LIGHTEST = 2.9  # mass in amu above which hydrogens are heavy enough for a force evaluation every 8 fs
 _THEIRS = "openmm.LangevinMiddleIntegrator(300*kelvin, 5/picosecond, {}*femtoseconds)"
 
-#: The scheme for proteins in water at constant temperature, with a force evaluation every 8 fs.
-AT_8_FS = "W2_3m"
+#: The schemes for proteins in water at constant temperature: the default, and one with the temperatures of water.
+PROTEIN, PROTEIN_AND_WATER = Langevin.scheme, "W2_3m"
 
 
 def described(
@@ -201,38 +202,43 @@ def _advice(system: openmm.System, bodies: RigidBodies, masses: Array) -> Iterat
 
 
 def _of_water() -> Iterator[str]:
-    yield f"constant energy: {_ours(2.0, 'W4_4')}"
+    yield f"constant energy: {_at_constant_energy(2.0, 'W4_4')}"
     yield f"constant temperature: {_THEIRS.format(4)}"
-    yield f"constant temperature, with correct temperatures in reports: {_ours(4.0, 'W2_4g', langevin=True)}"
+    yield f"constant temperature, with correct temperatures in reports: {_with_thermostat(4.0, 'W2_4g')}"
 
 
 def _of_proteins(system: openmm.System, masses: Array) -> Iterator[str]:
-    """Yield the settings for the masses of the System, and those that heavier hydrogens allow."""
+    """Yield the settings for the masses of the System, and what heavier hydrogens allow."""
     real = parameters.masses(system)
     heavy = real[real > 0.0].min() > _LIGHTEST
-    scheme = splitting(AT_8_FS)
-    resonance = Resonances(system, masses=masses).first(scheme)
-    longest = math.inf if resonance is None else 1000.0 * resonance.below(scheme)
-    interval = min(8.0 if heavy else 4.0, longest)
-    yield f"constant energy: {_ours(4.0, 'W2_1')}"
-    ours = _ours(interval, AT_8_FS, langevin=True)
-    if interval == 4.0:
-        yield f"constant temperature: {_THEIRS.format(4)}"
-        yield f"constant temperature, with correct temperatures in reports: {ours}"
-    else:
-        yield f"constant temperature: {ours}"
-    if interval == 8.0:
+    resonances, asked = Resonances(system, masses=masses), 8.0 if heavy else 4.0
+
+    def within(name: str) -> float:
+        """Return the asked interval in fs, or the longest one below the first resonance."""
+        resonance = resonances.first(splitting(name))
+        return asked if resonance is None else min(asked, 1000.0 * resonance.below(splitting(name)))
+
+    plain, watery = within(PROTEIN), within(PROTEIN_AND_WATER)
+    yield f"constant energy: {_at_constant_energy(4.0, 'W2_1')}"
+    yield f"constant temperature: {_with_thermostat(plain) if heavy or plain < asked else _THEIRS.format(4)}"
+    precise = _with_thermostat(watery, PROTEIN_AND_WATER)
+    yield f"constant temperature, with correct temperatures in reports: {precise}"
+    if heavy:
         yield f"as fast, but hotter in reports, with constraints=AllBonds: {_THEIRS.format(8)}"
-    elif not heavy:
+    else:
         yield (
             "half the cost at constant temperature: constraints=HBonds and hydrogens of 3 amu, also in water "
-            f"(--hydrogen-mass 3, or rb.heavy_hydrogens), allow forceInterval=8*femtoseconds with {AT_8_FS}"
+            f"(--hydrogen-mass 3, or rb.heavy_hydrogens), allow {_with_thermostat(8.0)}"
         )
 
 
-def _ours(interval: float, scheme: str, langevin: bool = False) -> str:
+def _at_constant_energy(interval: float, scheme: str) -> str:
     """Return the call that creates an integrator, for a time in fs between two force evaluations."""
-    settings = f'forceInterval={interval:g}*femtoseconds, scheme="{scheme}"'
-    if langevin:
-        return f"rb.ExactRigidBodyLangevinIntegrator(300*kelvin, 5/picosecond, {settings})"
-    return f"rb.ExactRigidBodyIntegrator({settings})"
+    return f'rb.ExactRigidBodyIntegrator(forceInterval={interval:g}*femtoseconds, scheme="{scheme}")'
+
+
+def _with_thermostat(interval: float, scheme: str = PROTEIN) -> str:
+    """Return the same at constant temperature."""
+    default = scheme == Langevin.scheme
+    time = f"{interval:g}*femtoseconds" if default else f'forceInterval={interval:g}*femtoseconds, scheme="{scheme}"'
+    return f"rb.ExactRigidBodyLangevinIntegrator(300*kelvin, 5/picosecond, {time})"

@@ -12,7 +12,7 @@ import openmm
 
 import openmm_exactrb
 from openmm_exactrb.command import inputs
-from openmm_exactrb.command.description import AT_8_FS, described
+from openmm_exactrb.command.description import PROTEIN, PROTEIN_AND_WATER, described
 from openmm_exactrb.engines import ENGINES
 from openmm_exactrb.integrators.states import read_xml
 from openmm_exactrb.openmm_access.platforms import platforms, why_not_by_default
@@ -28,7 +28,7 @@ PURPOSE = (
 
 _INTEGRATORS = [name for name in openmm_exactrb.__all__ if name.endswith("Integrator")]
 # Schemes that docs/which.md recommends.
-_RECOMMENDED = ("W2_1", "W4_4", "W2_4g", AT_8_FS)
+_RECOMMENDED = ("W2_1", "W4_4", PROTEIN, "W2_4g", PROTEIN_AND_WATER)
 _LIBRARIES = ("numpy", "scipy", "numba", "matplotlib")
 
 

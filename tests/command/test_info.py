@@ -1,6 +1,7 @@
 """``exactrb info FILE``: what is found in files of each format, the steps that suit it, and what is refused."""
 
 import itertools
+import re
 import shutil
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 from openmm import app
 
 import openmm_exactrb as rb
-from openmm_exactrb.command.description import AT_8_FS, described
+from openmm_exactrb.command.description import PROTEIN, PROTEIN_AND_WATER, described
 from openmm_exactrb.command.main import main
 from peptides import in_water
 from starts import context_of
@@ -131,28 +132,38 @@ def test_a_peptide_in_water_gets_its_bonded_forces_nested_and_its_periods_named(
     assert energy.endswith('(forceInterval=4*femtoseconds, scheme="W2_1")')
 
 
-@pytest.mark.parametrize(
-    ("constraints", "mass", "interval"),
-    [("HBonds", None, 4.0), ("HBonds", 3.0, 8.0), ("AllBonds", 3.0, 8.0), ("None", None, 3.3), ("None", 3.0, 7.8)],
+CONSTANT_TEMPERATURE = re.compile(
+    r"rb.ExactRigidBodyLangevinIntegrator\(300\*kelvin, 5/picosecond, "
+    r"(?:forceInterval=)?([0-9.]+)\*femtoseconds(?:, scheme=\"(\w+)\")?\)"
 )
-def test_the_interval_at_constant_temperature_is_one_that_no_warning_follows(constraints, mass, interval):
+
+
+@pytest.mark.parametrize(
+    ("constraints", "mass", "longest"),
+    [("HBonds", None, 4.0), ("HBonds", 3.0, 8.0), ("AllBonds", 3.0, 8.0), ("None", None, 4.0), ("None", 3.0, 8.0)],
+)
+def test_the_intervals_at_constant_temperature_are_those_that_no_warning_follows(constraints, mass, longest):
     topology, system, positions = in_water(constraints)
     if mass is not None:
         rb.heavy_hydrogens(system, topology, mass)
     lines = list(described(system, openmm.unit.Quantity(positions, openmm.unit.nanometer), topology))
-    (line,) = (line for line in lines if line.startswith("constant temperature") and "rb." in line)
-    assert f'forceInterval={interval:g}*femtoseconds, scheme="{AT_8_FS}"' in line
-    integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 5.0, forceInterval=1e-3 * interval, scheme=AT_8_FS)
-    _context = context_of(system, integrator, positions)
-    integrator.setVelocitiesToTemperature(300.0, 1)
-    integrator.step(1)  # a warning would be an error
+    found = [CONSTANT_TEMPERATURE.search(line) for line in lines if line.startswith("constant temperature")]
+    calls = [(float(call[1]), call[2] or PROTEIN) for call in found if call]
+    assert PROTEIN_AND_WATER in dict(map(reversed, calls))
+    for interval, scheme in calls:
+        assert interval <= longest
+        assert constraints == "None" or interval == longest
+        integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 5.0, forceInterval=1e-3 * interval, scheme=scheme)
+        _context = context_of(system, integrator, positions)
+        integrator.setVelocitiesToTemperature(300.0, 1)
+        integrator.step(1)  # a warning would be an error
 
 
 @pytest.mark.parametrize(
     ("mass", "theirs", "hint"), [(None, 4, "--hydrogen-mass 3"), (3.0, 8, "with constraints=AllBonds")]
 )
 def test_openmm_at_the_same_cost_is_named_for_a_protein(mass, theirs, hint):
-    """And for light hydrogens the masses that allow 8 fs; those of the solute alone are not enough."""
+    """And for light hydrogens the masses that allow 8 fs."""
     topology, system, positions = in_water("HBonds")
     if mass is not None:
         rb.heavy_hydrogens(system, topology, mass)
@@ -160,6 +171,7 @@ def test_openmm_at_the_same_cost_is_named_for_a_protein(mass, theirs, hint):
     assert f"openmm.LangevinMiddleIntegrator(300*kelvin, 5/picosecond, {theirs}*femtoseconds)" in lines
     assert hint in lines
     assert ("--hydrogen-mass" in lines) == (mass is None)
+    assert "rb.ExactRigidBodyLangevinIntegrator(300*kelvin, 5/picosecond, 8*femtoseconds)" in lines
 
 
 def pairs_of(n, longer):

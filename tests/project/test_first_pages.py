@@ -6,7 +6,7 @@ from first_pages import DRAWN, LEAVES, PICTURES, kicks, on_a_gpu, on_a_processor
 
 from benchmarks import tables
 from benchmarks.common.markdown import rows
-from openmm_exactrb.command.description import AT_8_FS
+from openmm_exactrb.command.description import PROTEIN, PROTEIN_AND_WATER
 from openmm_exactrb.rotors import ROTORS
 from openmm_exactrb.schemes import CATALOGUE, splitting
 
@@ -19,13 +19,14 @@ def test_bars_are_those_of_the_records():
     assert [bar.note for bar in on_a_gpu()] == [
         f"{float(speeds['LangevinMiddle']):.0f} ns/day",
         "not timed",
-        f"{float(speeds[f'{AT_8_FS} native']):.0f} ns/day",
+        f"{float(speeds[f'{PROTEIN_AND_WATER} native']):.0f} ns/day",
     ]
 
 
-def test_a_step_has_the_force_evaluations_of_its_scheme():
-    step, at = kicks()
-    scheme = splitting(AT_8_FS)
+@pytest.mark.parametrize("name", [PROTEIN, PROTEIN_AND_WATER])
+def test_a_step_has_the_force_evaluations_of_its_scheme(name):
+    step, at = kicks(name)
+    scheme = splitting(name)
     assert (step, len(at)) == (8.0 * scheme.forces, scheme.forces)
     assert all(0.0 <= time < step for time in at)
 
