@@ -175,6 +175,8 @@ def test_openmm_at_8_fs_is_as_the_record_has_it_with_the_runs_that_ended():
         assert f"is {ours['U (kJ/mol per molecule of water)']} kJ/mol per molecule of water, and −40.68 ± 0.01" in text
     assert body[0][-1] == "−40.68 ± 0.01"
     assert f"for the peptide ({ours['T_peptide (K)']} K)" in which
+    measured = page("docs/explanation/any-molecule.md")
+    assert f"its rotation at {ours['T_rot (K)']} K, and the peptide at {ours['T_peptide (K)']} K" in measured
     assert f"of its rotation {ours['T_rot (K)']} K, and of the peptide {ours['T_peptide (K)']} K" in tutorial
     reported = [name for name in head if "reported" in name]
     assert 8.5 < max(float(theirs[name].split()[0]) for name in reported) - 300.0 < 9.0  # up to 9 K too hot
