@@ -23,8 +23,8 @@ def test_info_names_what_there_is(capsys):
     said = capsys.readouterr().out
     for name in ("Reference", openmm.__version__, rb.__version__, *INTEGRATORS):
         assert name in said
-    assert said.count("Scheme(") == 4
-    assert len(said.splitlines()) < 26
+    assert said.count("Scheme(") == 5
+    assert len(said.splitlines()) < 27
 
 
 @pytest.mark.parametrize("options", [[], ["-u"]], ids=["at the end", "line by line"])
