@@ -49,32 +49,38 @@ def predicted(motion, order, friction):
     return np.array(found).T
 
 
-#: Each scheme with one motion; with `--validate` also with the others.
-ALWAYS = [*zip(["quartic well", "with a spring in the drifts"] * 4, SCHEMES, strict=False), (ROTOR, "W2_3m")]
+#: Each scheme with one motion at one friction; with `--validate` also with the others.
+ONCE = [*zip(["quartic well", "with a spring in the drifts"] * 4, SCHEMES, strict=False), (ROTOR, "W2_3m")]
+ALWAYS = [(*case, friction) for case, friction in zip(ONCE, FRICTIONS * 3, strict=False)]
 OF_ROTORS = "BAOA", "W2_3m", "W2_4g"
-ALL = [(motion, name) for motion in MOTIONS for name in SCHEMES if motion != ROTOR or name in OF_ROTORS]
+ALL = [
+    (motion, name, friction)
+    for motion in MOTIONS
+    for name in SCHEMES
+    for friction in FRICTIONS
+    if motion != ROTOR or name in OF_ROTORS
+]
 
 
 @pytest.mark.parametrize(
-    ("motion", "name"),
+    ("motion", "name", "friction"),
     [pytest.param(*case, marks=[] if case in ALWAYS else pytest.mark.validate) for case in ALL],
 )
-def test_the_error_of_averages_is_the_predicted_one_at_every_friction(motion, name):
+def test_the_error_of_averages_is_the_predicted_one_at_every_friction(motion, name, friction):
     """Errors over h² approach the prediction as h²: their extrapolation to h = 0 from three steps agrees with it."""
     system, (scheme, steps) = MOTIONS[motion](), steps_of(name)
     exact = np.array([system.mean(of(system.z)) for of, _ in system.observables])
-    for friction in FRICTIONS:
-        full, *_ = predicted(system, step_errors(scheme), friction)
-        errors = [
-            (system.stationary(scheme, h, friction, [of for of, _ in system.observables]) - exact) / h**2 for h in steps
-        ]
-        once = [(4.0 * fine - coarse) / 3.0 for coarse, fine in itertools.pairwise(errors)]
-        assert (16.0 * once[1] - once[0]) / 15.0 == pytest.approx(full, rel=1e-4, abs=2e-6)
-        largest = np.abs(full).argmax()
-        sizes = [abs(error[largest]) * h**2 for error, h in zip(errors, steps, strict=True)]
-        slopes = np.diff(np.log(sizes)) / np.diff(np.log(steps))
-        assert slopes[1] == pytest.approx(2.0, abs=0.2)
-        assert abs(slopes[1] - 2.0) < 0.5 * abs(slopes[0] - 2.0)
+    full, *_ = predicted(system, step_errors(scheme), friction)
+    errors = [
+        (system.stationary(scheme, h, friction, [of for of, _ in system.observables]) - exact) / h**2 for h in steps
+    ]
+    once = [(4.0 * fine - coarse) / 3.0 for coarse, fine in itertools.pairwise(errors)]
+    assert (16.0 * once[1] - once[0]) / 15.0 == pytest.approx(full, rel=1e-4, abs=2e-6)
+    largest = np.abs(full).argmax()
+    sizes = [abs(error[largest]) * h**2 for error, h in zip(errors, steps, strict=True)]
+    slopes = np.diff(np.log(sizes)) / np.diff(np.log(steps))
+    assert slopes[1] == pytest.approx(2.0, abs=0.2)
+    assert abs(slopes[1] - 2.0) < 0.5 * abs(slopes[0] - 2.0)
 
 
 @pytest.mark.parametrize("motion", ["quartic well", ROTOR])
