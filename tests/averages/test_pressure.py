@@ -46,21 +46,21 @@ class Pressures:
 
 BOUNDARIES = [
     (rb.ReactionField(cutoff=1.7), {}, ("bonds", "openmm")),
-    (rb.ReactionField(), {}, ("bonds",)),
-    (rb.ReactionField(cutoff=1.2, dielectric=1.0), {"density": 0.3, "attraction": 0.4}, ("bonds", "openmm")),
-    (rb.ReactionField(cutoff=1.4, switch=0.2), {"wca": True, "sphere_cutoff": 1.9}, ("bonds",)),
+    (rb.ReactionField(), {"n": 27}, ("bonds",)),
+    (rb.ReactionField(cutoff=1.2, dielectric=1.0), {"n": 27, "density": 0.3, "attraction": 0.4}, ("bonds", "openmm")),
+    (rb.ReactionField(cutoff=1.4, switch=0.2), {"n": 27, "wca": True, "sphere_cutoff": 1.9}, ("bonds",)),
     (rb.ReactionField(cutoff=1.6), {"shifted": True, "epsilon": 2.0, "sigma": 0.9}, ("bonds", "openmm")),
 ]
 
 
 @spread_over({"boundary, options, kernels": BOUNDARIES, "scales": [(1.0, 1.0, 1.0), (1.2, 1.2, 1.2), (1.0, 1.1, 1.9)]})
 def test_kernels_have_the_same_pressure_in_every_box(boundary, options, kernels, scales, tmp_path):
-    law = {"dipole": (0.0, 0.0, 3.0**0.5), "attraction": 1.0, "density": 0.4, "perturbation": 0.05} | options
+    law = {"n": 64, "dipole": (0.0, 0.0, 3.0**0.5), "attraction": 1.0, "density": 0.4, "perturbation": 0.05} | options
     found = []
     for kernel in ("compiled", *kernels):
-        topology, system, positions = rb.dipole_fluid(64, boundary=boundary, kernel=kernel, **law)
+        topology, system, positions = rb.dipole_fluid(boundary=boundary, kernel=kernel, **law)
         pressures = Pressures(topology, system, tmp_path / f"{kernel}.csv")
-        x = positions._value.reshape(64, -1, 3)
+        x = positions._value.reshape(law["n"], -1, 3)
         edge = system.getDefaultPeriodicBoxVectors()[0][0]._value
         centres = x.mean(axis=1, keepdims=True)
         moved = centres * (np.array(scales) - 1.0)
@@ -68,7 +68,7 @@ def test_kernels_have_the_same_pressure_in_every_box(boundary, options, kernels,
         found.append(pressures.read())
     for others in found[1:]:
         np.testing.assert_allclose(others, found[0], rtol=1e-9, atol=1e-8)
-    assert found[0][0] != pytest.approx(BAR * 64 * R * 160.0 / (np.prod(scales) * edge**3), rel=1e-5)
+    assert found[0][0] != pytest.approx(BAR * law["n"] * R * 160.0 / (np.prod(scales) * edge**3), rel=1e-5)
 
 
 # -- boxes of twice the cutoff ----------------------------------------------------------------------------------------
