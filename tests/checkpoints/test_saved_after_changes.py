@@ -41,15 +41,18 @@ def first_step(context):
     context.getIntegrator().step(1)
 
 
-RUNS = [
-    *itertools.product(["S2_2", "W2_1", "W4_4"], ["host", "no library", "kernels"]),
-    pytest.param("W2_1", "OpenCL", marks=pytest.mark.opencl),
-]
+PROCESSORS = [*itertools.product(["S2_2", "W2_1", "W4_4"], ["host", "no library", "kernels"])]
+OPENCL = pytest.param("W2_1", "OpenCL", marks=pytest.mark.opencl)
+HOW = ["checkpoint", "State"]
 
 
-@pytest.mark.parametrize("looks", [True, False])
-@pytest.mark.parametrize("how", ["checkpoint", "State"])
-@pytest.mark.parametrize(("scheme", "place"), RUNS)
+@pytest.mark.parametrize(
+    ("scheme", "place", "how", "looks"),
+    [
+        *((*run, how, looks) for run in PROCESSORS for how in HOW for looks in (True, False)),
+        *(pytest.param(*OPENCL.values, how, how == "State", marks=OPENCL.marks) for how in HOW),
+    ],
+)
 def test_what_is_saved_behind_a_change_continues_with_the_same_bits(scheme, place, how, looks):
     rng = random.Random(f"{scheme}{place}{how}{looks}")
     changes = rng.sample([c for c in CHANGES if c not in (removed_force, minimiser)], 3 if place != "OpenCL" else 1)
@@ -70,8 +73,8 @@ def test_what_is_saved_behind_a_change_continues_with_the_same_bits(scheme, plac
                 np.testing.assert_allclose(shown(other), shown(run.context), rtol=0.0, atol=1e-10, err_msg=str(change))
 
 
-@pytest.mark.parametrize("how", ["checkpoint", "State"])
-@pytest.mark.parametrize(("scheme", "place"), RUNS)
+@pytest.mark.parametrize("how", HOW)
+@pytest.mark.parametrize(("scheme", "place"), [*PROCESSORS, OPENCL])
 def test_a_frozen_particle_that_is_moved_before_a_checkpoint_acts_from_its_new_place(scheme, place, how):
     run = Run(place, scheme, False)
     run.integrator.step(5)
@@ -110,7 +113,7 @@ def test_what_an_integrator_cannot_read_is_refused(scheme, how, before, after, m
             other.integrator.step(1)
 
 
-@spread_over({"place": PLACES, "how": ["checkpoint", "State"]})
+@spread_over({"place": PLACES, "how": HOW})
 def test_what_is_loaded_into_a_context_with_other_forces_goes_on_from_what_is_shown(place, how):
     """As from an equilibration with restraints."""
     run, other = Run(place, "W2_1", False), Run(place, "W2_1", False)

@@ -131,7 +131,7 @@ def started(system, x, h, scheme="S2_2", **options):
 
 @pytest.mark.parametrize("rigid", [True, False], ids=["rigid", "flexible"])
 @pytest.mark.parametrize("name", SITES)
-@settings(max_examples=2, deadline=None)
+@settings(max_examples=1, deadline=None)
 @given(SEEDS)
 def test_inner_steps_apply_the_forces_on_sites(name, rigid, seed):
     """The same trajectory as with all forces in the kicks, up to the error of a scheme of order 4."""
@@ -161,7 +161,7 @@ def spread(system, x, **options):
 
 
 @pytest.mark.parametrize("name", ["TIP4P", "TIP5P", "local"])
-@settings(max_examples=3, deadline=None)
+@settings(max_examples=2, deadline=None)
 @given(SEEDS, st.floats(3.0, 4.0))
 def test_stiff_bonds_of_sites_have_inner_steps_by_default(name, seed, omega):
     """The frequency of the bond, in units of that above which the kicks are too far apart."""

@@ -159,7 +159,7 @@ def test_a_reaction_field_comes_close_to_the_ewald_sum_in_a_large_box():
     for n, most in ((125, 0.12), (343, 0.07)):
         R, mu, box = liquid(n)
         x = sites_of(R, mu)
-        exact = dipoles_alone(x, 3 * [box], tolerance=1e-5)[1][1::2]
+        exact = dipoles_alone(x, 3 * [box], tolerance=1e-3)[1][1::2]
         errors = [
             np.linalg.norm(field_of(x, box=box, switch=0.375 * box, dielectric=dielectric) - exact)
             / np.linalg.norm(exact)
