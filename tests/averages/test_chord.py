@@ -1,6 +1,5 @@
 """Averages of OpenMM's LangevinMiddleIntegrator, whose drifts are chords of the constraints."""
 
-import copy
 import itertools
 
 import numpy as np
@@ -189,29 +188,6 @@ def planar():
     return x, list(itertools.combinations(range(4), 2))
 
 
-def chain(n=105):
-    """Return a chain of atoms that turns by a helix."""
-    x = np.array([[0.1 * np.cos(k), 0.1 * np.sin(k), 0.05 * k] for k in range(n)])
-    return x, [(k, k + 1) for k in range(n - 1)]
-
-
-@pytest.mark.parametrize(
-    ("molecule", "sentence"),
-    [
-        (planar, "linear molecules with more than two"),
-        (
-            chain,
-            "because 104 constraints join .* of one molecule, but at most .* are supported: create the System",
-        ),
-    ],
-)
-def test_constraints_that_the_theory_does_not_cover_are_refused(molecule, sentence):
-    x, pairs = molecule()
-    lengths = [np.linalg.norm(x[i] - x[j]) for i, j in pairs]
-    with pytest.raises(ValueError, match=sentence):
-        cluster(lengths, [12.0] * len(x), pairs, x)
-
-
 def test_what_is_known_of_rigid_molecules_does_not_depend_on_the_precision_of_positions():
     """Positions that a run begins with may not obey the constraints yet."""
     _, system, positions = rb.rigid_water(1)
@@ -224,44 +200,3 @@ def test_what_is_known_of_rigid_molecules_does_not_depend_on_the_precision_of_po
     lengths = [np.linalg.norm(x[i] - x[j]) for i, j in pairs]
     with pytest.raises(ValueError, match="nearly planar"):
         cluster(lengths, [12.0] * 4, pairs, x + np.random.default_rng(4).normal(0.0, 0.001, x.shape))
-
-
-def atomic():
-    """Return a barostat that moves atoms instead of molecules."""
-    barostat = openmm.MonteCarloBarostat(1.0, 300.0, 1)
-    barostat.setScaleMoleculesAsRigid(False)
-    return barostat
-
-
-@pytest.mark.parametrize(
-    ("temperature", "forces", "sentence"),
-    [
-        (300.0, [openmm.AndersenThermostat(300.0, 1.0)], "AndersenThermostat, but this integrator"),
-        (
-            300.0,
-            [openmm.MonteCarloBarostat(1.0, 310.0, 1)],
-            "the MonteCarloBarostat is 310 K, but that of the integrator is 300 K: call context.setParameter",
-        ),
-        (300.0, [atomic()], "would change distances within bodies"),
-        (
-            300.0,
-            [openmm.MonteCarloAnisotropicBarostat([1.0] * 3, 300.0)],
-            "AnisotropicBarostat: use a MonteCarloBarostat",
-        ),
-        (0.0, [], "only at a temperature above 0 K"),
-    ],
-)
-def test_what_makes_another_ensemble_is_refused(tmp_path, temperature, forces, sentence):
-    simulation = water(openmm.LangevinMiddleIntegrator(temperature, 1.0, 0.002), *map(copy.copy, forces))
-    with reporting(simulation, tmp_path / "no.csv", 1), pytest.raises(ValueError, match=sentence):
-        simulation.step(1)
-
-
-def test_force_groups_may_not_change_in_a_run(tmp_path):
-    integrator = openmm.LangevinMiddleIntegrator(300.0, 1.0, 0.02)
-    simulation = rotors(integrator)
-    with reporting(simulation, tmp_path / "rotors.csv", 1):
-        simulation.step(1)
-        integrator.setIntegrationForceGroups({1})
-        with pytest.raises(ValueError, match=r"the force groups, a parameter of the Context, or .* has changed"):
-            simulation.step(1)

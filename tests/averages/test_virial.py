@@ -261,13 +261,6 @@ def test_forces_at_absolute_places_have_no_pressure(name, tmp_path):
     assert not (tmp_path / "averages.csv").exists()
 
 
-@pytest.mark.parametrize("name", OWN_BOX)
-def test_forces_with_a_box_of_their_own_have_no_pressure(name, tmp_path):
-    sentence = r"\(force 2\) does not follow the periodic box of the Context, .* or create .* with pressure=False"
-    with pytest.raises(ValueError, match=sentence):
-        pressure_of(gas(OWN_BOX[name]()), tmp_path / "averages.csv")
-
-
 @pytest.mark.parametrize("name", ["gravity", "slab", "collective variable", "function of Python", "compound bonds"])
 def test_without_pressure_these_forces_are_reported(name, tmp_path):
     simulation = gas((ABSOLUTE | OWN_BOX)[name]())
@@ -314,14 +307,6 @@ def test_a_field_on_neutral_molecules_has_a_pressure(tmp_path):
     assert with_field == pytest.approx(without, rel=1e-9)
     with pytest.raises(ValueError, match="depends on absolute positions"):
         pressure_of(gas(field(0.301), bonded=True), tmp_path / "ions.csv")
-
-
-def test_a_function_that_cannot_be_tried_alone_is_refused(tmp_path):
-    for number, function in enumerate((Well(), Springs())):
-        with pytest.raises(
-            ValueError, match=r"cannot be copied, .* top level of a module, .* a force group of its own"
-        ):
-            pressure_of(gas(python(function, local=True)()), tmp_path / f"{number}.csv")
 
 
 def test_langevin_of_openmm_is_served_and_refused_alike(tmp_path):

@@ -54,14 +54,6 @@ def test_random_tops_start_as_the_paper_says(rng, epsilon, power):
     assert (np.abs(top.potential(q)) <= epsilon).all()
 
 
-@pytest.mark.parametrize("n", [-1, 2.5, float("nan"), "3"])
-@pytest.mark.parametrize("name", ["V2", "V2_C17"])
-def test_the_number_of_steps_is_a_whole_number(n, name):
-    satellite, state = Satellite.paper()
-    with pytest.raises(ValueError, match="n must be a whole number of at least 0, not"):
-        integrate(satellite, state, 0.1, n, rb.SCHEMES[name])
-
-
 @pytest.mark.parametrize("name", ["V2", "V2_C17"])
 def test_no_step_leaves_the_state_as_it_is(name):
     satellite, state = Satellite.paper()

@@ -77,29 +77,6 @@ def test_a_chain_is_never_read_from_other_numbers(other, there, kind):
     assert (snapshot(target) == expected) != parted
 
 
-def test_numbers_of_another_integrator_are_noticed_where_positions_are_the_same():
-    run = droplet_of(nose_hoover())
-    other = droplet_of(langevin())
-    other.integrator.step(3)
-    for setter, name in ((run.context.setPositions, "Positions"), (run.context.setVelocities, "Velocities")):
-        setter(getattr(other.context.getState(positions=True, velocities=True), f"get{name}")(asNumpy=True))
-    run.integrator.temperatures()
-    run.context.loadCheckpoint(other.context.createCheckpoint())
-    for use in (run.integrator.effectiveEnergy, lambda: run.integrator.setVelocitiesToTemperature(30.0)):
-        with pytest.raises(ValueError, match="is from another kind of integrator"):
-            use()
-
-
-def test_a_checkpoint_of_openmm_s_own_integrator_is_refused():
-    theirs = droplet_of(openmm.LangevinMiddleIntegrator(30.0, 2.0, 1e-4))
-    theirs.step(2)
-    run = droplet_of(nose_hoover())
-    run.integrator.step(1)
-    run.context.loadCheckpoint(theirs.context.createCheckpoint())
-    with pytest.raises(ValueError, match="is from another kind of integrator"):
-        run.integrator.step(1)
-
-
 def test_equilibration_at_a_langevin_thermostat_is_handed_over_without_its_numbers():
     first = droplet_of(langevin())
     first.integrator.step(5)

@@ -96,14 +96,6 @@ def test_states_of_another_scheme_continue_the_shown_state(loads):
     np.testing.assert_allclose(held(second), held(third), atol=1e-9)
 
 
-def test_numbers_that_a_state_lacks_are_missed_at_the_next_step():
-    first, second = water(OURS["W2_1"]()), water(OURS["NoseHoover"]())
-    first.step(2)
-    second.context.setState(first.context.getState(positions=True, velocities=True, integratorParameters=True))
-    with pytest.raises(ValueError, match="from another kind of integrator"):
-        second.step(1)
-
-
 @pytest.mark.parametrize(("saved", "loads"), [("NoseHoover", "S2_2"), ("NoseHoover", "Hybrid")])
 def test_states_of_other_schemes_and_thermostats_are_refused_with_the_remedy(saved, loads):
     first, second = water(OURS[saved]()), water(OURS[loads]())
@@ -113,27 +105,3 @@ def test_states_of_other_schemes_and_thermostats_are_refused_with_the_remedy(sav
         second.context.setState(state)
     rb.loadState(second, state)
     np.testing.assert_array_equal(held(second), held(first))
-
-
-@pytest.mark.parametrize("with_data", [False, True])
-def test_other_errors_of_a_state_are_openmms(with_data):
-    """A parameter that the Context lacks, and another number of particles; and so are those of other integrators."""
-    topology, system, positions = rb.rigid_water(8)
-    force = openmm.CustomExternalForce("pull*x")
-    force.addGlobalParameter("pull", 1.0)
-    system.addForce(force)
-    pulled = simulation_of(topology, system, THEIRS["Verlet"](), positions)
-    state = pulled.context.getState(positions=True, parameters=True, integratorParameters=with_data)
-    with pytest.raises(openmm.OpenMMException, match="pull"):
-        water(OURS["S2_2"]()).context.setState(state)
-    topology, system, positions = rb.rigid_water(9)
-    larger = simulation_of(topology, system, THEIRS["Verlet"](), positions)
-    state = larger.context.getState(positions=True, integratorParameters=with_data)
-    with pytest.raises(openmm.OpenMMException, match="wrong number of positions"):
-        water(OURS["S2_2"]()).context.setState(state)
-
-
-def test_other_integrators_fail_as_before():
-    state = water(THEIRS["Verlet"]()).context.getState(positions=True, integratorParameters=True)
-    with pytest.raises(openmm.OpenMMException, match="Unknown property 'version'"):
-        water(THEIRS["Custom"]()).context.setState(state)

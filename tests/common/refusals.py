@@ -1,6 +1,8 @@
 """Tables of what is refused: what is tried, and the sentence with which it is."""
 
 from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 
@@ -25,3 +27,13 @@ def assert_refused(call, sentence, error):
 def for_each(function, sentence, values):
     """Return the rows of a function of one argument, each value of which is refused with the same sentence."""
     return [(partial(function, value), sentence) for value in values]
+
+
+def in_a_folder(function, *arguments, **options):
+    """Return a function without arguments, which calls another with an empty folder and these arguments."""
+
+    def call():
+        with TemporaryDirectory() as folder:
+            function(Path(folder), *arguments, **options)
+
+    return call

@@ -5,7 +5,8 @@ from functools import partial
 import numpy as np
 import openmm
 from test_find import rings
-from test_redundant_constraints import BENDING, MASSES, PAIRS, system_of
+from test_redundant_constraints import BENDING, MASSES, PAIRS, every_pair, moving, ring, system_of
+from test_small_bodies import body
 from test_whole import CUBE, rings_of_six, wrapped
 from test_whole import system_of as in_box
 
@@ -29,6 +30,30 @@ def with_drude_particles():
     drude.addParticle(4, 3, -1, -1, -1, -1.0, 0.001, 1.0, 1.0)
     system.addForce(drude)
     return system, positions._value
+
+
+def another_shape():
+    """The last of the five mirrored at three of them: nine distances are the same, the tenth is not."""
+    integrator = rb.ExactRigidBodyIntegrator(0.002)
+    context = moving(system_of(MASSES, BENDING, PAIRS), BENDING, integrator)
+    integrator.step(1)
+    x = BENDING.copy()
+    normal = np.cross(x[1] - x[0], x[2] - x[0])
+    x[4] -= 2.0 * normal * ((x[4] - x[0]) @ normal) / (normal @ normal)
+    context.setPositions(x)
+    integrator.step(1)
+
+
+def flat_part():
+    x = np.vstack([ring(0.14), [0.25, 0.1, 0.1]])
+    integrator = rb.ExactRigidBodyIntegrator(0.002)
+    _context = moving(system_of(7 * [12.0], x, [*every_pair(6), (0, 6)]), x, integrator)
+    integrator.step(1)
+
+
+def small_body(extent, named):
+    _context, integrator = body(extent, named, 0.0 if extent < 1e-9 else 1.7)
+    integrator.step(1)
 
 
 @refused(
@@ -73,6 +98,16 @@ def with_drude_particles():
             in_box(2, CUBE, bonds=[(0, 1, 0.1)]), np.array([[0.2, 0.0, 0.0], [1.8, 0.0, 0.0]]), [range(2)], CUBE
         ),
         r"0 and 1 of body 0 are 1\.6 nm apart as given, or 1\.4 nm across",
+    ),
+    (another_shape, r"deviate from its shape by 0\.087 nm"),
+    (flat_part, "always straight or flat, remove this constraint, or make the"),
+    *(
+        (
+            partial(small_body, extent, named),
+            r"particles 0, 1, 2 form a rigid body with an extent of only .*e-\d\d nm, ",
+        )
+        for extent in (5e-7, 1e-7, 2e-8, 3e-9, 1e-10, 1e-12)
+        for named in (True, False)
     ),
 )
 def test_a_sentence_says_what_is_wrong(call, sentence, error):

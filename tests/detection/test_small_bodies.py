@@ -38,14 +38,6 @@ def test_small_bodies_turn(extent, named, engine):
 
 
 @pytest.mark.parametrize("named", [True, False])
-@pytest.mark.parametrize("extent", [5e-7, 1e-7, 2e-8, 3e-9, 1e-10, 1e-12])
-def test_smaller_bodies_are_refused(extent, named):
-    _context, integrator = body(extent, named, 0.0 if extent < 1e-9 else 1.7)
-    with pytest.raises(ValueError, match=r"particles 0, 1, 2 form a rigid body with an extent of only .*e-\d\d nm, "):
-        integrator.step(1)
-
-
-@pytest.mark.parametrize("named", [True, False])
 def test_particles_that_coincide_up_to_roundoff_are_a_point(named):
     held = [] if named else [(0, 1, 0.0)]
     integrator = rb.ExactRigidBodyIntegrator(0.001, bodies=[[0, 1]] if named else None)

@@ -181,18 +181,3 @@ def test_scheduler_that_is_not_there(tmp_path, monkeypatch):
     monkeypatch.setattr(workers, "TIMEOUT", 0.5)
     with pytest.raises(ConnectionError, match=r"no dask scheduler answers at .tcp://127\.0\.0\.1:1"):
         ensemble.run([Job(square, x=1)], tmp_path, scheduler="tcp://127.0.0.1:1", progress=False)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "error", "message"),
-    [
-        ({"jobs": [square]}, TypeError, "jobs must be Job objects, not the function square"),
-        ({"workers": 0}, ValueError, "workers must be a whole number of at least 1, not 0"),
-        ({"workers": 1, "scheduler": "tcp://node:1"}, ValueError, "scheduler= and workers= are mutually exclusive"),
-        ({"scheduler": 8786}, ConnectionError, "no dask scheduler answers at 8786"),
-        ({"scheduler": "nonsense://node:1"}, ConnectionError, "no dask scheduler answers at 'nonsense://node:1'"),
-    ],
-)
-def test_wrong_call(tmp_path, arguments, error, message):
-    with pytest.raises(error, match=message):
-        ensemble.run(**{"jobs": [Job(square, x=1)], "folder": tmp_path, "progress": False} | arguments)

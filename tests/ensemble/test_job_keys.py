@@ -10,7 +10,7 @@ import cloudpickle
 import numpy as np
 import openmm
 import pytest
-from job_functions import SHORT, Multiple, Other, disguised, energies, square
+from job_functions import SHORT, Multiple, energies, square
 from openmm import app, unit
 
 import openmm_exactrb as rb
@@ -140,43 +140,3 @@ def test_classes_of_one_name_in_two_modules_are_two():
 
 def test_a_function_in_a_class_has_a_name():
     assert repr(Job(Multiple.twice, x=1)) == "Job(job_functions.Multiple.twice, x=1)"
-
-
-@pytest.mark.parametrize(
-    ("function", "arguments", "message"),
-    [
-        (lambda: 1, {}, "module-level function"),
-        ("square", {}, "module-level function"),
-        (square, {"y": 1}, "missing a required argument: 'x'"),
-        (square, {"x": object()}, "argument x of a job cannot contain an object of type object"),
-        (square, {"x": {1, 2}}, "argument x of a job cannot contain an object of type set"),
-        (Multiple(3).of, {"x": 1}, "module-level function"),
-        (Other.named, {"x": 1}, "module-level function"),  # its name is Multiple.named
-        (disguised, {"x": 1}, "module-level function"),
-        (square, {"x": Multiple(3).of}, "argument x of a job cannot contain an object of type method"),
-        (square, {"x": disguised}, "module-level function"),
-        (
-            square,
-            {"x": np.ma.array([1, 2], mask=[0, 1])},
-            "argument x of a job cannot contain an object of type MaskedArray",
-        ),
-        (
-            square,
-            {"x": np.ma.array([1], mask=[1]) * unit.nanometer},
-            "argument x of a job cannot contain an object of type MaskedArray",
-        ),
-    ],
-)
-def test_wrong_job(function, arguments, message):
-    with pytest.raises(TypeError, match=message):
-        Job(function, **arguments)
-
-
-def test_wrong_axis():
-    with pytest.raises(TypeError, match="axis x must be a list of values, not 'V2'"):
-        ensemble.sweep(square, {"x": "V2"})
-
-
-def test_an_argument_is_an_axis_or_fixed():
-    with pytest.raises(TypeError, match="seed"):
-        ensemble.sweep(energies, {"seed": range(3)}, **SHORT, seed=1)

@@ -12,7 +12,7 @@ import openmm_exactrb as rb
 from orders import slope
 from peptides import FORCE_FIELD, PEPTIDE, R, end_of, in_water, moving, peptide, positions_of, violations
 from places import REFERENCE
-from starts import context_of, force_of, simulation_of, system_of, velocities_of
+from starts import context_of, force_of, simulation_of, velocities_of
 
 pytestmark = pytest.mark.usefixtures("every_engine")
 
@@ -79,27 +79,6 @@ def test_positions_off_the_constraints_are_put_on_them_with_a_warning():
     assert violations(system, put, v)[0] < 1e-15
     mass = np.array([12.01, 1.008, 1.008, 1.008])
     np.testing.assert_allclose(mass @ put[:4], mass @ off[:4], atol=1e-4)  # the centre stays
-
-
-def test_positions_far_from_the_constraints_are_refused():
-    _, system, x = peptide()
-    context = openmm.Context(system, rb.ExactRigidBodyIntegrator(0.0005), REFERENCE)
-    x[3] += [0.0, 0.0, 5.0]
-    context.setPositions(x)
-    with pytest.raises(ValueError, match=r"particles 0, 1, 2, 3 deviate from its shape"):
-        context.getIntegrator().step(1)
-
-
-def test_a_singular_place_is_refused():
-    """A rhombus of constraints that lies on a line."""
-    system = system_of(4 * [10.0])
-    for i in range(4):
-        system.addConstraint(i, (i + 1) % 4, 0.1)
-    context = context_of(
-        system, rb.ExactRigidBodyIntegrator(0.001), np.array([[0.0, 0, 0], [0.1, 0, 0], [0.2, 0, 0], [0.1, 0, 0]])
-    )
-    with pytest.raises(ValueError, match="singular configuration"):
-        context.getIntegrator().step(1)
 
 
 # -- orders -----------------------------------------------------------------------------------------------------

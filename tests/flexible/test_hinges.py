@@ -143,9 +143,3 @@ def test_a_step_onto_or_over_a_singular_place_is_an_error_and_leaves_the_state_b
     assert np.isfinite(x).all()
     for k in range(4):
         assert abs(np.linalg.norm(x[k] - x[(k + 1) % 4]) - SIDE) < 1e-15
-
-
-def test_a_start_at_a_singular_place_is_refused_by_name():
-    _context, integrator = folding(0.0, 0.01)
-    with pytest.raises(ValueError, match="singular configuration, where the constraint between particles"):
-        integrator.step(1)

@@ -206,13 +206,3 @@ def test_the_native_engine_does_not_serve_them_and_auto_says_so(name):
     integrator = MAKERS[name](0.001, constraints=[on_a_plane])
     assert integrator.getEngine() == "host"
     assert "supports only constraints of the System" in integrator.engineNote()
-
-
-def test_numbers_that_would_be_wrong_are_refused(tmp_path):
-    integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 1.0, 0.001, constraints=[FIRST_STAYS])
-    simulation = starts.simulation_of(*WATERS[:2], integrator, WATERS[2], kelvin=300.0)
-    with pytest.raises(ValueError, match="call temperatures\\(\\) without groups"):
-        integrator.temperatures(groups={"first": range(3)})
-    simulation.reporters.append(rb.AverageReporter(tmp_path / "averages.csv", 1))
-    with pytest.raises(ValueError, match="create the integrator without constraints="):
-        simulation.step(1)

@@ -5,9 +5,11 @@ from functools import cache, partial
 import numpy as np
 import openmm
 from openmm import app, unit
+from test_constraint_types import FIRST_STAYS
 
 import openmm_exactrb as rb
 import starts
+import three_masses
 from every_integrator import unconstrained
 from openmm_exactrb.schemes import Scheme, spelled
 from openmm_exactrb.steps.substeps import DRIFT
@@ -38,6 +40,42 @@ def started():
 def set_state(change):
     """Set a changed state of the bodies."""
     started().setBodyState(change(started().bodyState()))
+
+
+def one_step(system, positions):
+    integrator = made()
+    _context = starts.context_of(system, integrator, positions)
+    integrator.step(1)
+
+
+def without_a_position():
+    started().step(1)
+    before, context = starts.positions_of(started().context), started().context
+    x = before.copy()
+    x[4, 1] = np.nan
+    context.setPositions(x)
+    try:
+        started().step(1)
+    finally:
+        context.setPositions(before)
+
+
+def alone():
+    """A body that diverges without another one that would be its closest."""
+    system = three_masses.system()
+    force = openmm.CustomExternalForce("1e300*exp(x*1e3)")
+    force.addParticle(0, [])
+    system.addForce(force)
+    one_step(system, three_masses.POSITIONS)
+
+
+@cache
+def held():
+    """Return the integrator of two molecules with a constraint of its own, in a Context."""
+    _, system, positions = rb.rigid_water(2)
+    integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 1.0, 0.001, constraints=[FIRST_STAYS])
+    integrator.context = starts.context_of(system, integrator, positions)
+    return integrator
 
 
 @refused(
@@ -140,6 +178,13 @@ def set_state(change):
         (partial(rb.separate_bonded, given), rf"takes an openmm\.System.* not {name}")
         for given, name in [(None, "NoneType"), (app.Topology(), "Topology")]
     ),
+    (
+        lambda: one_step(starts.system_of([0.0]), np.zeros((1, 3))),
+        "contains no particle with mass, so nothing can move",
+    ),
+    (without_a_position, r"body 1 .* not finite"),
+    (alone, r"body 0 \(particles 0, 1, 2\)\. The", rb.NonFiniteError),
+    (lambda: held().temperatures(groups={"first": range(3)}), r"call temperatures\(\) without groups"),
 )
 def test_a_sentence_says_what_is_wrong(call, sentence, error):
     assert_refused(call, sentence, error)

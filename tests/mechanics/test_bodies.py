@@ -159,18 +159,6 @@ def test_positions_rounded_as_in_pdb_files_are_corrected_in_silence(molecule, rn
             fit(bodies, np.round(x, 3), np.zeros_like(x))
 
 
-def test_a_mirror_image_and_an_atom_astray_are_named():
-    system = openmm.System()
-    add_rigid(system, CHIRAL, [1.0, 2.0, 3.0, 4.0])
-    bodies = find_bodies(system, CHIRAL)
-    with pytest.raises(ValueError, match=r"body 0 \(particles 0, 1, 2, 3\) deviate .* form its mirror image: set .*"):
-        fit(bodies, CHIRAL * [1.0, 1.0, -1.0], np.zeros((4, 3)))
-    torn = CHIRAL.copy()
-    torn[2] += [0.0, 3.0, 0.0]
-    with pytest.raises(ValueError, match=r"particles 0, 1, 2, 3\) .* because of particle 2 alone, 3 nm from its place"):
-        fit(bodies, torn, np.zeros((4, 3)))
-
-
 def test_the_best_fit_of_distorted_positions_keeps_the_centre_and_is_the_nearest_attitude(mixture, rng):
     system, x, bodies = mixture
     y = x + 5.0 * RIGIDITY * rng.standard_normal(x.shape)

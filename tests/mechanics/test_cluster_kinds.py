@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.constraints import clusters as constrained_clusters
-from openmm_exactrb.constraints.clusters import LARGEST, ClusterKind, sorted_into_kinds
+from openmm_exactrb.constraints.clusters import ClusterKind, sorted_into_kinds
 
 STAR = np.array([(0, 1), (2, 0), (0, 3)])
 
@@ -40,35 +40,3 @@ def test_constraints_take_freedom(name):
 def kind(masses, pairs, lengths):
     group = ClusterKind(np.arange(len(masses))[None], np.array(masses), np.array(pairs), np.array(lengths))
     return sorted_into_kinds([group]).kinds[0]
-
-
-def test_redundant_constraints_are_named():
-    """Methane with its bonds and its H-H distances: ten constraints for nine internal coordinates."""
-    every = [(i, j) for i in range(5) for j in range(i)]
-    with pytest.raises(ValueError, match=r"follows from the others .* 0, 1, 2, 3, 4: remove"):
-        kind([12.0, 1.0, 1.0, 1.0, 1.0], every, len(every) * [0.15])
-    with pytest.raises(ValueError, match="constraint between particles 0 and 1 follows"):
-        kind([12.0, 1.0], [(0, 1), (1, 0)], [0.1, 0.1])
-
-
-@pytest.mark.parametrize(
-    ("masses", "pairs", "lengths", "sentence"),
-    [
-        ([12.0, 0.0], [(0, 1)], [0.1], "particle 1 .* has the mass 0"),
-        ([12.0, 1.0], [(0, 1)], [0.0], "constraint of 0 nm between particles 0 and 1"),
-        ([12.0, 1.0], [(0, 1)], [np.nan], "constraint of nan nm between particles 0 and 1 is invalid"),
-        ([12.0, 1.0], [(1, 1)], [0.1], "needs two different particles"),
-        ((LARGEST + 2) * [1.0], [(k, k + 1) for k in range(LARGEST + 1)], (LARGEST + 1) * [0.1], "constraints=HBonds"),
-    ],
-)
-def test_graphs_that_cannot_be_held_are_refused_with_a_reason(masses, pairs, lengths, sentence):
-    with pytest.raises(ValueError, match=sentence):
-        kind(masses, pairs, lengths)
-
-
-def test_a_triangle_on_a_line_is_a_singular_place():
-    triangle = kind([12.0, 16.0, 16.0], [(0, 1), (0, 2), (1, 2)], [0.12, 0.12, 0.24])
-    x = np.array([[0.0, 0.0, 0.0], [0.12, 0.0, 0.0], [-0.12, 0.0, 0.0]])
-    with pytest.raises(ValueError, match="particles 0, 1, 2 is in a singular configuration"):
-        triangle.check_singular(x[None], np.array([True]))
-    triangle.check_singular(x[None], np.array([False]))

@@ -14,8 +14,6 @@ import openmm_exactrb as rb
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.multiple_time_steps.excerpt import bonded_excerpt
 from openmm_exactrb.multiple_time_steps.stiffness import fastest
-from openmm_exactrb.schemes import Scheme
-from openmm_exactrb.steps.sequence import spelled
 from orders import slope
 from peptides import FORCE_FIELD, PEPTIDE, bonded_apart, end_of, moving, peptide, positions_of
 from places import HOST_AND_NATIVE, REFERENCE
@@ -102,19 +100,6 @@ def test_bonded_forces_need_no_group_of_their_own(scheme):
     for a, b in zip(*ends, strict=True):
         np.testing.assert_allclose(a, b, rtol=0.0, atol=1e-10)
     assert openmm.XmlSerializer.serialize(taken) == before
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"fast": (0, 1)}, "fast= names all forces"),
-    ],
-)
-def test_groups_that_cannot_be_nested_are_refused(options, message):
-    _, system, x = peptide()
-    rb.separate_bonded(system)
-    with pytest.raises(ValueError, match=message):
-        moving(system, x, **options)
 
 
 def test_groups_may_be_whole_numbers_of_numpy():
@@ -213,25 +198,6 @@ def test_steps_of_no_time_leave_all_where_it_is(options):
     before = positions_of(context)
     integrator.step(3)
     np.testing.assert_allclose(positions_of(context), before, rtol=0.0, atol=1e-15)
-
-
-def test_a_group_that_has_a_kick_of_its_own_is_not_nested_too():
-    """It would act twice."""
-    system, places = openmm.System(), [[0.1, 0.0, 0.0]]
-    system.addParticle(1.0)
-    for group, energy in ((0, "0*y"), (1, "50*x^2")):
-        force = openmm.CustomExternalForce(energy)
-        force.addParticle(0)
-        force.setForceGroup(group)
-        system.addForce(force)
-    groups = Scheme("groups", 2, spelled("B0 B1 A B1 B0"))
-
-    def step():
-        integrator, _context = moving(system, places, 0.001, groups, fast=(1,), innerSteps=2)
-        integrator.step(1)
-
-    with pytest.raises(ValueError, match="a kick with force group 1 alone, but fast= also names this group"):
-        step()
 
 
 @pytest.mark.parametrize("engine", HOST_AND_NATIVE)

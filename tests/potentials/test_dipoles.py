@@ -163,13 +163,6 @@ def test_spheres_of_weeks_chandler_and_andersen_only_repel(kernel):
         )
 
 
-def test_spheres_without_a_repulsion_have_no_minimum():
-    context, _ = fluid(9, kernel="compiled", attraction=1.0, wca=True)
-    context.setParameter("soft_repulsion", 0.0)
-    with pytest.raises(Exception, match="soft_repulsion must be positive"):
-        context.getState(energy=True)
-
-
 @pytest.mark.parametrize(
     ("periodic", "kernel"),
     [

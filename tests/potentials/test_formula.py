@@ -106,16 +106,6 @@ def test_a_cutoff_whose_tips_have_other_nearest_images_is_refused():
                 rb.soft_dipole_force([(0, 1)], **asked)
 
 
-@pytest.mark.parametrize("boundary", [WIDE["boundary"], rb.Ewald(tolerance=1e-3)])
-def test_a_barostat_is_refused_where_the_formula_needs_a_wide_box(boundary):
-    _, system, positions = rb.dipole_fluid(64, density=0.4, boundary=boundary, kernel="openmm")
-    system.addForce(openmm.MonteCarloBarostat(1.0, 100.0))
-    integrator = rb.ExactRigidBodyIntegrator(0.004)
-    _context = context_of(system, integrator, positions)
-    with pytest.raises(ValueError, match=r"a barostat changes the box, .* with kernel='compiled'"):
-        integrator.step(1)
-
-
 # -- other boxes ------------------------------------------------------------------------------------------------------
 
 SHORT = {"density": 0.4, "boundary": rb.ReactionField(cutoff=1.3), "sphere_cutoff": 1.5, "perturbation": 0.1}

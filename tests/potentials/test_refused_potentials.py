@@ -1,12 +1,14 @@
 """What potentials and boundaries refuse."""
 
 import numpy as np
+import openmm
 from openmm import unit
 
 import openmm_exactrb as rb
 from openmm_exactrb.potentials import SoftDipoles, dipole_rod_forces
 from refusals import assert_refused, for_each, refused, with_options
-from soft_dipoles import PARAMETERS
+from soft_dipoles import FIELD, PARAMETERS, fluid
+from starts import context_of, positions_of
 
 PERIODIC = [rb.ReactionField, rb.Ewald]
 DIPOLES = {"arrows": [(0, 1), (2, 3)], "strength": 1.0, "length": 0.5}
@@ -16,6 +18,29 @@ SPHERES = {"n": 64, "attraction": 1.0, "dipole": (0.0, 0.0, 1.0), "inertia": (0.
 SPHERES |= {"seed": 3, "boundary": rb.ReactionField(dielectric=1.0)}
 
 # Numbers of arrows that are none are memory that a compiled kernel would read, and write forces to.
+
+
+def energy_after(change, n, **options):
+    context, _ = fluid(n, **{"kernel": "compiled"} | options)
+    change(context)
+    context.getState(energy=True)
+
+
+def without_a_position():
+    boundary = rb.Ewald(method="mesh", cutoff=1.5, tolerance=1e-3)
+    context, integrator = fluid(64, "S2_2", boundary=boundary, density=0.5)
+    x = positions_of(context)
+    x[7, 1] = np.nan
+    context.setPositions(x)
+    integrator.step(1)
+
+
+def beside_a_barostat(boundary):
+    _, system, positions = rb.dipole_fluid(64, density=0.4, boundary=boundary, kernel="openmm")
+    system.addForce(openmm.MonteCarloBarostat(1.0, 100.0))
+    integrator = rb.ExactRigidBodyIntegrator(0.004)
+    _context = context_of(system, integrator, positions)
+    integrator.step(1)
 
 
 @refused(
@@ -162,6 +187,37 @@ SPHERES |= {"seed": 3, "boundary": rb.ReactionField(dielectric=1.0)}
             ({"boundary": rb.Open(), "sphere_cutoff": 2.0}, "need a periodic box"),
             ({"boundary": rb.Open(), "long_range_correction": True}, "needs a periodic box and spheres"),
         ],
+    ),
+    *(
+        (lambda change=change, fluid=fluid: energy_after(change, **fluid), sentence, Exception)
+        for change, fluid, sentence in [
+            (
+                lambda context: context.setPeriodicBoxVectors(*np.diag([3.5, 3.6, 3.9])),
+                {"n": 27} | FIELD,
+                r"sphere_cutoff must be at most half the shortest edge .* a barostat may shrink",
+            ),
+            (
+                lambda context: context.setPeriodicBoxVectors([4.0, 0, 0], [0.5, 4.0, 0], [0, 0, 4.0]),
+                {"n": 27} | FIELD,
+                "rectangular",
+            ),
+            (
+                lambda context: context.setParameter("soft_repulsion", 0.0),
+                {"n": 9, "attraction": 1.0, "wca": True},
+                "soft_repulsion must be positive",
+            ),
+            (
+                lambda context: context.setPeriodicBoxVectors(*np.diag([7.2, 10.0, 10.0])),
+                {"n": 64, "boundary": rb.Ewald(order=16, tolerance=1e-2), "density": 0.05},
+                r"the box, 7.2 nm, is too short .* do not fit into 15 points",
+            ),
+        ]
+    ),
+    (without_a_position, "the position of particle 7 is not finite: set finite positions"),
+    *for_each(
+        beside_a_barostat,
+        r"a barostat changes the box, .* with kernel='compiled'",
+        [rb.ReactionField(cutoff=1.5, switch=1.0, dielectric=7.0), rb.Ewald(tolerance=1e-3)],
     ),
 )
 def test_a_sentence_says_what_is_wrong(call, sentence, error):

@@ -226,23 +226,6 @@ def test_modeller_prepares_systems_with_openmm():
     assert not replaced.others
 
 
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda: openmm.LangevinMiddleIntegrator(300, 1),
-        lambda: openmm.LangevinMiddleIntegrator(300, 1, 0.002, 4),
-        lambda: openmm.VerletIntegrator(0.001, steps=3),
-        lambda: openmm.VerletIntegrator("2 fs"),
-        lambda: openmm.LangevinIntegrator(300 * FS, 1, 0.002),
-    ],
-)
-def test_arguments_that_openmm_refuses_are_refused(make):
-    with pytest.raises((TypeError, ValueError, IndexError)):
-        make()
-    with silent(), pytest.raises((TypeError, ValueError, IndexError)):
-        make()
-
-
 # -- intervals --------------------------------------------------------------------------------------------------------
 
 
@@ -280,15 +263,6 @@ def test_steps_of_a_compound_are_counted():
             compound.step(5)
     assert context.getTime()._value == pytest.approx(0.06)
     assert (replaced.steps, replaced.openmmForceEvaluations) == (15, pytest.approx(10 * 2 + 5 * 4))
-
-
-def test_long_steps_of_a_script_have_light_particles_of_its_own():
-    system = openmm.System()
-    system.addParticle(1.0)
-    with silent(interval=20 * FS):
-        openmm.Context(system, openmm.LangevinMiddleIntegrator(300, 1, 0.01), REFERENCE)
-        with pytest.raises(ValueError, match="needs heavy hydrogens"):
-            openmm.Context(system, openmm.LangevinMiddleIntegrator(300, 1, 0.001), REFERENCE)
 
 
 def test_light_hydrogens_are_refused_at_long_intervals():

@@ -108,15 +108,6 @@ class Every:
         self.seen.append((simulation.currentStep, round(state.getTime().value_in_unit(FS), 6)))
 
 
-@pytest.mark.parametrize("make", [Every, lambda n: app.StateDataReporter(io.StringIO(), n, step=True)])
-def test_reporters_whose_interval_cannot_be_divided_are_refused(make):
-    with kept(4 * FS):
-        simulation = in_water(1 * FS)
-        simulation.reporters.append(make(6))
-        with pytest.raises(ValueError, match="cannot be divided"):
-            simulation.step(24)
-
-
 def test_a_reporter_of_a_script_sees_its_own_counts():
     with kept(4 * FS):
         simulation = in_water(1 * FS)
@@ -216,20 +207,6 @@ def test_a_barostat_that_is_added_later_is_divided_too():
             assert system.getForces()[-1].getFrequency() == expected
         assert simulation.currentStep == 12
     assert time_of(simulation) == pytest.approx(24.0)
-
-
-def test_parts_of_a_compound_are_refused():
-    _, system, _ = rb.rigid_water(1)
-    compound = openmm.CompoundIntegrator()
-    with kept(4 * FS):
-        compound.addIntegrator(openmm.VerletIntegrator(0.002))
-        with pytest.raises(ValueError, match="the steps of a CompoundIntegrator cannot be divided"):
-            openmm.Context(system, compound, REFERENCE)
-
-
-def test_an_interval_without_a_ratio_is_refused():
-    with kept(4 * FS), pytest.raises(ValueError, match=r"cannot keep the time of steps of 2\.71828 fs"):
-        in_water(2.71828 * FS)
 
 
 @given(

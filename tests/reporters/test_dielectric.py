@@ -69,28 +69,5 @@ def test_fluctuations_that_no_dielectric_has_give_infinity():
     assert rb.dielectric_constant(np.full((40, 3), 10.0), VOLUME, KT, dielectric=1.0) == (np.inf, np.inf)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"moments": np.zeros((40, 2))}, r"shape \(n, 3\), with one row for each of n frames, not"),
-        ({"moments": np.full((40, 3), np.nan)}, "finite numbers below .* row 0 is .nan"),
-        ({"volume": 0.0}, "volume must be a positive number of nm³"),
-        ({"kT": -1.0}, "kT must be a positive number of kJ/mol"),
-        ({"dielectric": 0.5}, "dielectric must be at least 1"),
-        ({"blocks": 1}, "blocks must be between 2"),
-        ({"blocks": 41}, "blocks must be between 2"),
-        ({"blocks": 2.9}, "blocks must be a whole number"),
-        ({"moments": np.ones((40, 3)) * E_NM}, "without a unit"),
-        ({"moments": [row * E_NM for row in np.ones((40, 3))]}, "without a unit"),
-        ({"moments": np.ones((40, 3)) * 1j}, "moments must be rows of three numbers"),
-        ({"moments": [[1.0, 2.0, 3.0], [1.0, 2.0]]}, "moments must be rows of three numbers"),
-        ({"moments": np.full((40, 3), 1e170)}, "finite numbers below .* row 0 is"),
-    ],
-)
-def test_wrong_values_get_one_sentence(changes, message):
-    with pytest.raises(ValueError, match=message):
-        rb.dielectric_constant(**({"moments": np.ones((40, 3)), "volume": 1.0, "kT": 1.0} | changes))
-
-
 def test_surroundings_answer_with_a_factor_from_0_to_1():
     assert [reaction(eps) for eps in (1.0, 4.0, np.inf)] == [0.0, pytest.approx(2.0 / 3.0, rel=1e-15), 1.0]

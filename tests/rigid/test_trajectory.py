@@ -150,17 +150,6 @@ def test_moves_of_users_are_left_to_the_host_where_kernels_are_compiled_before(p
         integrator.step(1)
 
 
-def test_a_text_without_a_move_is_refused():
-    class Wrong(Fading):
-        bind = Fading.bind
-
-        def kernel_moves(self, part):
-            return (Move(Op.OWN, part, text="DEVICE inline void fade(Body* body) {}"),)
-
-    with pytest.raises(ValueError, match=r"must define `DEVICE inline void NAME\(Body\* body, double tau\)`"):
-        rb.ExactRigidBodyIntegrator(0.001, Scheme("wrong", 1, ((Wrong(1.0), 1.0), (DRIFT, 1.0))), engine="native")
-
-
 @pytest.mark.parametrize("together", [True, False])
 @pytest.mark.parametrize("kind", ["rescaling", "chain"])
 def test_thermostats_that_multiply_momenta_are_those_of_the_host(kind, together):

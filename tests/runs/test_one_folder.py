@@ -3,7 +3,6 @@
 import numpy as np
 import openmm
 import pytest
-from openmm import app
 from small_droplets import droplet, make, same_bytes
 
 import openmm_exactrb as rb
@@ -21,21 +20,6 @@ def test_a_script_that_advances_twice_is_resumed_in_the_second_call(tmp_path):
     script(tmp_path / "half", 33)
     script(tmp_path / "half", 60, resume=True)
     same_bytes(tmp_path / "half", tmp_path / "whole")
-
-
-def test_other_settings_in_the_second_call_are_another_run(tmp_path):
-    run, simulation = make(tmp_path), droplet()
-    run.advance(simulation, 10)
-    simulation.integrator.setStepSize(0.001)
-    with pytest.raises(ValueError, match=r"another run, in which integrator stepSize was 0\.005"):
-        run.advance(simulation, 20)
-
-
-def test_one_run_is_of_one_system(tmp_path):
-    run = make(tmp_path)
-    run.advance(droplet(), 10)
-    with pytest.raises(ValueError, match="another run, in which System was 20 particles"):
-        run.advance(droplet(n=5), 20)
 
 
 def complain(steps):
@@ -89,53 +73,6 @@ def test_a_first_checkpoint_that_could_not_be_written_is_tried_again(tmp_path, m
     assert len((tmp_path / "energies.csv").read_text(encoding="utf-8").splitlines()) == 3
 
 
-@pytest.mark.parametrize(
-    ("name", "reporter", "message"),
-    [
-        ("energies.csv", rb.EnergyReporter, "another reporter already writes the file energies.csv"),
-        ("checkpoint", rb.EnergyReporter, "checkpoint is a file of the run itself"),
-        ("topology.pdb", rb.EnergyReporter, "topology.pdb is a file of the run itself"),
-        ("./checkpoint", rb.EnergyReporter, "checkpoint is a file of the run itself"),
-        ("checkpoint.part", rb.EnergyReporter, "checkpoint.part is a file of the run itself"),
-        ("a/../energies.csv", rb.EnergyReporter, "another reporter already writes the file energies.csv"),
-        ("../energies.csv", rb.EnergyReporter, "energies.csv is outside the folder of the run"),
-        ("/energies.csv", rb.EnergyReporter, "/energies.csv is outside the folder of the run"),
-        ("other.dcd", "DCD", "not 'DCD'"),
-    ],
-)
-def test_a_reporter_that_would_spoil_a_file_is_refused(tmp_path, name, reporter, message):
-    run = make(tmp_path)
-    with pytest.raises(ValueError, match=message):
-        run.add_reporter(reporter, name, 5)
-
-
-@pytest.mark.parametrize(
-    ("reporter", "options", "message"),
-    [
-        (app.StateDataReporter, {"densities": True}, r"StateDataReporter does not accept .*'densities'"),
-        (rb.EnergyReporter, {"step": True}, r"EnergyReporter does not accept .*'step'"),
-        (app.DCDReporter, {"append": True}, r"DCDReporter does not accept .*'append'"),
-        (app.DCDReporter, {"reportInterval": 5}, r"DCDReporter does not accept .*'reportInterval'"),
-        (app.PDBReporter, {"enforcePeriodicBox": False}, "PDBReporter cannot resume a file"),
-    ],
-)
-def test_options_that_a_reporter_does_not_take_are_refused_at_once(tmp_path, reporter, options, message):
-    run = make(tmp_path)
-    with pytest.raises(ValueError, match=message):
-        run.add_reporter(reporter, "other", 5, **options)
-
-
-def test_other_columns_are_another_run(tmp_path):
-    for columns in ({"potentialEnergy": True}, {"potentialEnergy": True}, {"temperature": True}):
-        run = rb.Run(tmp_path, resume=True)
-        run.add_reporter(app.StateDataReporter, "log.csv", 5, step=True, **columns)
-        if "temperature" in columns:
-            with pytest.raises(ValueError, match=r"file log.csv was .*potentialEnergy.*temperature"):
-                run.advance(droplet(), 20)
-        else:
-            run.advance(droplet(), 10)
-
-
 def numbers(last):
     x = np.zeros(2000)
     x[1500] = last
@@ -157,22 +94,6 @@ def test_settings_are_compared_to_the_last_digit(tmp_path, settings, others):
         make(tmp_path, settings=others, resume=True).advance(droplet(), 20)
 
 
-def test_settings_that_are_none_are_refused(tmp_path):
-    with pytest.raises(ValueError, match="settings must be a mapping"):
-        rb.Run(tmp_path, settings=5)
-
-
-def test_a_file_with_the_name_of_a_setting_hides_nothing(tmp_path):
-    for n in (4, 5):
-        run = rb.Run(tmp_path, resume=True)
-        run.add_reporter(rb.EnergyReporter, "System", 5)
-        if n == 4:
-            run.advance(droplet(n=n), 10)
-        else:
-            with pytest.raises(ValueError, match="another run, in which System was 20 particles"):
-                run.advance(droplet(n=n), 20)
-
-
 def test_a_system_that_cannot_be_serialised_is_refused(tmp_path):
     topology, system, positions = rb.dipole_fluid(4, seed=1, trap=0.5)
     system.addForce(openmm.PythonForce(lambda state: (0.0, np.zeros((20, 3)))))
@@ -180,11 +101,6 @@ def test_a_system_that_cannot_be_serialised_is_refused(tmp_path):
     with pytest.raises(ValueError, match="OpenMM cannot serialise the System of this run"):
         make(tmp_path).advance(simulation, 10)
     assert not list(tmp_path.iterdir())
-
-
-def test_an_interval_that_trajectories_cannot_store_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="interval must be below 2147483648 steps"):
-        make(tmp_path).add_reporter(rb.EnergyReporter, "other.csv", 2**31)
 
 
 @pytest.mark.parametrize("leave", [lambda s: s.step(7), lambda s: setattr(s, "currentStep", 0)])

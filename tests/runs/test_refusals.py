@@ -5,13 +5,10 @@ import os
 import mdtraj
 import openmm
 import pytest
-from openmm import app
 from small_droplets import droplet, go_on, make, same_bytes
 
-import openmm_exactrb as rb
 from openmm_exactrb.runs import checkpoint
 from openmm_exactrb.support.lock import only_process
-from starts import simulation_of
 
 
 def contents(folder):
@@ -94,53 +91,3 @@ def test_two_processes_do_not_work_in_one_folder(half):
     with only_process(half):
         refused(half, "another process is running", BlockingIOError)
     go_on(half)
-
-
-@pytest.mark.parametrize("every", [-1.0, float("nan")])
-def test_wrong_intervals_are_refused(tmp_path, every):
-    with pytest.raises(ValueError, match="number of seconds"):
-        rb.Run(tmp_path, every=every)
-
-
-def half_of(folder, simulation):
-    """Run 20 steps in a folder."""
-    run = rb.Run(folder, resume=True)
-    run.add_reporter(app.DCDReporter, "trajectory.dcd", 10)
-    run.advance(simulation, 20)
-
-
-def with_integrator(integrator):
-    topology, system, positions = rb.dipole_fluid(4, seed=1, trap=0.5)
-    return simulation_of(topology, system, integrator, positions)
-
-
-def own_scheme(weight):
-    """Return a scheme whose name does not tell the weight of its outer drifts."""
-    return rb.schemes.symmetric("mine", order=2, stages=2, first="drift", a=(weight,))
-
-
-@pytest.mark.parametrize(
-    ("make_integrator", "values"),
-    [
-        (lambda T: openmm.LangevinMiddleIntegrator(T, 1.0, 0.005), (30, 60)),
-        (lambda T: openmm.MTSLangevinIntegrator(T, 1.0, 0.005, [(0, 1)]), (30, 60)),
-        (lambda w: rb.ExactRigidBodyIntegrator(0.005, scheme=own_scheme(w)), (0.19, 0.3)),
-    ],
-)
-def test_a_run_of_other_settings_that_a_name_does_not_tell_is_refused(tmp_path, make_integrator, values):
-    half_of(tmp_path, with_integrator(make_integrator(values[0])))
-    half_of(tmp_path, with_integrator(make_integrator(values[0])))  # the same goes on
-    with pytest.raises(ValueError, match="another run, in which integrator"):
-        half_of(tmp_path, with_integrator(make_integrator(values[1])))
-
-
-def test_a_run_of_other_canonical_momenta_is_refused(tmp_path):
-    def of(temperature):
-        simulation = with_integrator(rb.ExactRigidBodyIntegrator(0.005, scheme="V2"))
-        simulation.reporters.append(rb.CanonicalMomenta(temperature, 5, 1))
-        return simulation
-
-    half_of(tmp_path, of(30.0))
-    half_of(tmp_path, of(30.0))
-    with pytest.raises(ValueError, match=r"another run, in which CanonicalMomenta was 30\.0 K every 5 steps"):
-        half_of(tmp_path, of(60.0))

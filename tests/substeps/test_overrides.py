@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import openmm_exactrb as rb
-import starts
 from openmm_exactrb.schemes import Scheme, stability_limit
 from openmm_exactrb.steps.substeps import DRIFT, KICK, Drift, GradientKick, HeatExchange, Kick, LastForcesKick, Substep
 from openmm_exactrb.support.descriptions import mismatch
@@ -15,10 +14,7 @@ from openmm_exactrb.thermostats import HybridMonteCarlo, Langevin, NoseHooverCha
 from overriding import (
     SUBSTEPS,
     THERMOSTATS,
-    WATERS,
     Decorated,
-    Halved,
-    MixedIn,
     NoKick,
     idle,
     moved,
@@ -143,12 +139,6 @@ def test_forces_follow_the_positions_of_a_flow_that_was_overridden(base):
 # -- other descriptions -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("substep", [NoKick(), MixedIn(), Halved(), SUBSTEPS["instance"]], ids=repr)
-def test_an_oscillator_of_another_flow_is_an_error(substep):
-    with pytest.raises(ValueError, match=r"overrides bind\(\) but inherits oscillator\(\)"):
-        rb.schemes.stability.oscillated(scheme_of(substep).sequence, 0.1)
-
-
 def test_an_oscillator_that_is_overridden_with_its_flow_is_used():
     class Doubled(Kick):
         def bind(self, environment):
@@ -161,15 +151,6 @@ def test_an_oscillator_that_is_overridden_with_its_flow_is_used():
     scheme = Scheme("mine", 2, ((Doubled(), 0.5), (DRIFT, 1.0), (Doubled(), 0.5)))
     assert stability_limit(scheme) == pytest.approx(2.0**0.5, abs=2e-4)
     assert stability_limit(scheme_of(KICK)) == pytest.approx(2.0, abs=2e-4)
-
-
-@pytest.mark.parametrize("thermostat", [t for n, t in THERMOSTATS.items() if n.startswith("Langevin")], ids=repr)
-def test_averages_of_another_exchange_are_not_corrected_as_those_of_langevin_dynamics(thermostat, tmp_path):
-    integrator = rb.ExactRigidBodyIntegrator(0.002, thermostat=thermostat)
-    simulation = starts.simulation_of(*WATERS[:2], integrator, WATERS[2], kelvin=300.0)
-    simulation.reporters.append(rb.AverageReporter(tmp_path / "averages.csv", 1))
-    with pytest.raises(ValueError, match="averages can be corrected only for Langevin dynamics"):
-        simulation.step(1)
 
 
 def test_no_class_of_the_package_contradicts_itself():

@@ -265,15 +265,6 @@ def test_a_system_survives_xml(liquid):
     assert energies[0] == energies[1]
 
 
-def test_a_box_that_is_not_rectangular_or_too_small_is_refused():
-    potential = GayBerne(3.0, 5.0, 1.0, 1.0, 4.0, 3.6)
-    x = pair(Z, Z, X)
-    with pytest.raises(ValueError, match="rectangular"):
-        potential.energy_and_forces(x, np.array([[9.0, 0, 0], [1.0, 9.0, 0], [0, 0, 9.0]]))
-    with pytest.raises(ValueError, match="at most half the shortest edge of the box"):
-        potential.energy_and_forces(x, 7.0 * np.eye(3))
-
-
 def test_the_energy_does_not_depend_on_turns_of_all_together(rng):
     potential = GayBerne(3.0, 5.0, 1.0, 1.0, 15.0, 14.0)
     u, v, r = next(random_pairs(rng, 1, 3.0, 4.0))

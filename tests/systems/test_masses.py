@@ -103,17 +103,6 @@ def test_what_cannot_be_is_refused_and_changes_nothing():
     assert (masses(system) == before).all()
 
 
-def test_atoms_without_elements_are_refused_and_not_passed_over():
-    topology, system, _ = peptide()
-    bare = app.Topology()
-    residue = bare.addResidue("ACE", bare.addChain())
-    atoms = [bare.addAtom(atom.name, None, residue) for atom in topology.atoms()]
-    for first, second in topology.bonds():
-        bare.addBond(atoms[first.index], atoms[second.index])
-    with pytest.raises(ValueError, match="no atom of the Topology has the element hydrogen: set the elements"):
-        rb.heavy_hydrogens(system, bare)
-
-
 def test_a_context_that_is_reinitialized_has_the_new_masses():
     topology, system, positions = peptide()
     integrator = rb.ExactRigidBodyIntegrator(0.001)

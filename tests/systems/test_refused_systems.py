@@ -1,9 +1,26 @@
 """What functions that make Systems refuse."""
 
-from openmm import unit
+from functools import partial
+
+import numpy as np
+from openmm import app, unit
+from test_ellipsoids import X, Z, pair
 
 import openmm_exactrb as rb
+from openmm_exactrb.potentials import GayBerne
+from openmm_exactrb.systems.fluids import rigid_sites
+from peptides import peptide
 from refusals import assert_refused, refused, with_options
+
+
+def without_elements():
+    topology, system, _ = peptide()
+    bare = app.Topology()
+    residue = bare.addResidue("ACE", bare.addChain())
+    atoms = [bare.addAtom(atom.name, None, residue) for atom in topology.atoms()]
+    for first, second in topology.bonds():
+        bare.addBond(atoms[first.index], atoms[second.index])
+    rb.heavy_hydrogens(system, bare)
 
 
 @refused(
@@ -73,6 +90,19 @@ from refusals import assert_refused, refused, with_options
             ]
         ],
     ),
+    *(
+        (partial(rigid_sites, 1.0, [1.0, thin, 1.0 + part * thin]), "nearly linear")
+        for thin in (1e-7, 1e-9, 1e-10, 1e-12, 1e-14)
+        for part in (0.0, 0.5, 1.0)
+    ),
+    *(
+        (partial(GayBerne(3.0, 5.0, 1.0, 1.0, 4.0, 3.6).energy_and_forces, pair(Z, Z, X), np.array(box)), sentence)
+        for box, sentence in [
+            ([[9.0, 0, 0], [1.0, 9.0, 0], [0, 0, 9.0]], "rectangular"),
+            (7.0 * np.eye(3), "at most half the shortest edge of the box"),
+        ]
+    ),
+    (without_elements, "no atom of the Topology has the element hydrogen: set the elements"),
 )
 def test_a_sentence_says_what_is_wrong(call, sentence, error):
     assert_refused(call, sentence, error)

@@ -1,12 +1,10 @@
 """Momenta drawn at intervals."""
 
 import numpy as np
-import openmm
 import pytest
 from openmm import unit
 
 import openmm_exactrb as rb
-from openmm_exactrb.thermostats import NoseHooverChain
 from starts import simulation_of, velocities_of
 
 R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
@@ -30,23 +28,3 @@ def test_momenta_are_canonical_and_depend_on_seed_and_step_only():
     np.testing.assert_allclose(
         again.reshape(64, -1, 3)[:, :4].mean(axis=1), first.reshape(64, -1, 3)[:, :4].mean(axis=1), atol=1e-12
     )
-
-
-@pytest.mark.parametrize(
-    "integrator",
-    [
-        rb.ExactRigidBodyLangevinIntegrator(300.0, 1.0, 0.01),
-        rb.ExactRigidBodyIntegrator(0.01, thermostat=NoseHooverChain(300.0, 1.0)),
-        openmm.VerletIntegrator(0.001),
-    ],
-    ids=["with a thermostat", "with one passed to it", "OpenMM's"],
-)
-def test_an_integrator_that_has_a_thermostat_or_no_bodies_is_refused(integrator):
-    topology, system, positions = rb.dipole_fluid(64, seed=1)
-    simulation = simulation_of(topology, system, integrator, positions)
-    simulation.reporters.append(rb.CanonicalMomenta(300.0, 10))
-    with pytest.raises(
-        ValueError,
-        match=f"without a thermostat, but this Simulation uses {type(integrator).__name__}",
-    ):
-        simulation.step(1)

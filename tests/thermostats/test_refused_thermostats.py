@@ -10,15 +10,31 @@ from openmm import unit
 import openmm_exactrb as rb
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.steps.substeps import DRIFT, KICK
-from openmm_exactrb.thermostats import HybridMonteCarlo
+from openmm_exactrb.thermostats import HybridMonteCarlo, NoseHooverChain
 from openmm_exactrb.thermostats.langevin import ornstein_uhlenbeck
 from openmm_exactrb.thermostats.rescaling import rescaling
 from refusals import assert_refused, for_each, refused, with_options
+from starts import simulation_of
+from thermostatted import droplet_of
 
 LANGEVIN = {"temperature": 300.0, "frictionCoeff": 2.0, "stepSize": 0.002}
 RESCALING = {"temperature": 300.0, "relaxationTime": 1.0, "stepSize": 0.002}
 LOPSIDED = Scheme("Euler", 1, ((DRIFT, 1.0), (KICK, 1.0)))
 AT_REST = np.zeros((1, 3, 1)), np.zeros((1, 3, 1))
+
+
+def with_drawn_momenta(integrator):
+    topology, system, positions = rb.dipole_fluid(8, seed=1)
+    simulation = simulation_of(topology, system, integrator, positions)
+    simulation.reporters.append(rb.CanonicalMomenta(300.0, 10))
+    simulation.step(1)
+
+
+def with_a_second_thermostat():
+    simulation = droplet_of(rb.ExactRigidBodyLangevinIntegrator(**LANGEVIN))
+    simulation.system.addForce(openmm.AndersenThermostat(300.0, 1.0))
+    simulation.context.reinitialize(preserveState=True)
+    simulation.integrator.step(1)
 
 
 @refused(
@@ -125,6 +141,18 @@ AT_REST = np.zeros((1, 3, 1)), np.zeros((1, 3, 1))
         lambda: rescaling(np.ones(1), np.ones((3, 1)), 2.5, 0.7, (3, 3), True)(*AT_REST, -0.1, None),
         "stepSize must be positive with a thermostat",
     ),
+    *(
+        (
+            lambda integrator=integrator: with_drawn_momenta(integrator),
+            f"without a thermostat, but this Simulation uses {type(integrator).__name__}",
+        )
+        for integrator in [
+            rb.ExactRigidBodyLangevinIntegrator(300.0, 1.0, 0.01),
+            rb.ExactRigidBodyIntegrator(0.01, thermostat=NoseHooverChain(300.0, 1.0)),
+            openmm.VerletIntegrator(0.001),
+        ]
+    ),
+    (with_a_second_thermostat, "AndersenThermostat, but this integrator also has a thermostat"),
 )
 def test_a_sentence_says_what_is_wrong(call, sentence, error):
     assert_refused(call, sentence, error)

@@ -51,14 +51,6 @@ def test_a_temperature_that_is_refused_leaves_the_one_there_was():
         assert integrator.getTemperature() == 300.0 * unit.kelvin
 
 
-def test_a_second_thermostat_is_refused():
-    simulation = droplet_of(langevin())
-    simulation.system.addForce(openmm.AndersenThermostat(300.0, 1.0))
-    simulation.context.reinitialize(preserveState=True)
-    with pytest.raises(ValueError, match="AndersenThermostat, but this integrator also has a thermostat"):
-        simulation.integrator.step(1)
-
-
 def test_a_thermostat_that_joined_the_system_later_does_nothing_and_is_not_refused():
     """OpenMM does not know them either, until the Context is reinitialised."""
     simulation = droplet_of(langevin(30.0, 1.0, 0.002))

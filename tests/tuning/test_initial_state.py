@@ -1,8 +1,5 @@
 """What a user has at hand is enough, and what does not fit is one clear sentence."""
 
-import math
-from dataclasses import replace
-
 import numpy as np
 import openmm
 import pytest
@@ -13,7 +10,7 @@ import openmm_exactrb as rb
 from openmm_exactrb.tuning import Choice
 from openmm_exactrb.tuning.benchmark import VERLET, Benchmark, Method
 from openmm_exactrb.tuning.budget import Budget
-from openmm_exactrb.tuning.initial_state import initial_state, others
+from openmm_exactrb.tuning.initial_state import initial_state
 from starts import context_of, simulation_of
 
 PLENTY = Budget(1e6)
@@ -50,46 +47,6 @@ def test_positions_with_a_temperature_and_bodies_by_hand_are_enough():
     assert any("brought to 100 K" in note for note in result.notes)
     context = context_of(system, result.best(0.1).integrator(), positions)
     context.getIntegrator().step(1)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"start": None}, "start= is missing"),
-        ({"start": np.zeros((3, 3))}, r"the shape \(24, 3\), not \(3, 3\)"),
-        ({"start": np.full((24, 3), np.nan)}, "positions must be finite"),
-        ({"start": "water.pdb"}, "positions must be numbers"),
-        ({"velocities": np.zeros((24, 3))}, "all velocities of the start are zero"),
-        ({"velocities": np.ones((24, 3)) * unit.nanometer}, "velocities must be numbers"),
-        ({"target": 0.0}, "target must be a positive number"),
-        ({"target": "small"}, "target must be a positive number"),
-        ({"duration": -1.0}, "duration must be a positive number"),
-        ({"budget": 0.0}, "budget must be a positive number of s"),
-        ({"horizon": 0.0}, "horizon must be a positive number"),
-        ({"horizon": 30.0 * unit.kelvin}, "horizon must be a positive number"),
-        ({"temperature": math.inf}, "temperature must be a positive number"),
-        ({"levels": 0}, "levels must be a whole number"),
-        ({"schemes": []}, "schemes must contain at least one scheme"),
-        ({"schemes": ["RK4"]}, "scheme 'RK4' is unknown"),
-        ({"schemes": ["V2", replace(rb.SCHEMES["S2_2"], name="V2")]}, "has the name of another method, 'V2'"),
-        ({"schemes": replace(rb.SCHEMES["S2_2"], name="VerletIntegrator")}, "of another method"),
-        ({"platform": "Abacus"}, "platform 'Abacus' is not available"),
-        ({"system": "system.xml"}, "must be an openmm.System or a Simulation"),
-    ],
-)
-def test_a_wrong_value_is_one_clear_error(droplet, options, message):
-    system, state = droplet
-    with pytest.raises(ValueError, match=message):
-        rb.tune(**({"system": system, "start": state, "platform": "Reference"} | options))
-
-
-def test_a_state_without_positions_is_refused(droplet):
-    system, state = droplet
-    context = context_of(system, openmm.VerletIntegrator(0.001), state.getPositions())
-    with pytest.raises(ValueError, match="the State contains no positions"):
-        rb.tune(system, context.getState(energy=True))
-    with pytest.raises(ValueError, match="all velocities of the start are zero"):
-        rb.tune(system, context.getState(positions=True), platform="Reference")
 
 
 @pytest.fixture(scope="module")
@@ -153,14 +110,3 @@ def test_two_molecules_far_apart_get_no_step_in_which_they_turn_round():
     result = rb.tune(system, x, temperature=300.0, velocities=np.zeros_like(x) + 1e-9, **options)
     assert result.largest_stable_step("S2_2") / 2.0 < 0.12  # a radian at 300 K takes 0.06 ps
     assert any("bodies hardly interact" in note for note in result.notes)
-
-
-def test_a_start_that_leads_to_no_other_one_is_refused():
-    """Beside it is a wall that no step is short enough for."""
-    system, force = openmm.System(), openmm.CustomExternalForce("x+1e14*step(x-1e-7)*(x-1e-7)^2")
-    system.addParticle(18.0)
-    force.addParticle(0)
-    system.addForce(force)
-    begin, _ = initial_state(system, np.zeros((1, 3)), np.full((1, 3), 0.3), "Reference")
-    with pytest.raises(ValueError, match=r"every short run at .* K from the given start diverges: minimise"):
-        others(begin, 2, 0)
