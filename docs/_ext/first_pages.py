@@ -45,7 +45,7 @@ class Bar(NamedTuple):
 
 NAMES = {
     "LangevinMiddle": ("OpenMM, 4 fs", THEIRS),
-    "AllBonds": ("OpenMM, 8 fs, all bonds constrained", THEIRS),
+    "AllBonds": ("OpenMM, 8 fs, AllBonds", THEIRS),
     "ours": ("this package, 8 fs", OURS),
 }
 
@@ -78,8 +78,8 @@ def on_a_gpu() -> list[Bar]:
 
 def protein() -> Figure:
     """Return villin in water, and the simulated time per day on a processor and on a GPU."""
-    figure = plt.figure(figsize=(6.6, 3.5), layout="constrained")
-    left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.55))
+    figure = plt.figure(figsize=(5.8, 3.6), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(1.0, 2.0))
     villin(left)
     groups = (("processor: villin, one core", on_a_processor()), ("NVIDIA H200: DHFR", on_a_gpu()))
     y = 0.0
@@ -90,14 +90,14 @@ def protein() -> Figure:
             right.barh(y - 0.42, bar.relative or 0.0, height=0.8, color=bar.colour)
             inside = bar.relative is not None
             right.text(
-                0.04, y - 0.42, bar.label, va="center", size=9.5, color="white" if bar.colour == OURS else "black"
+                0.04, y - 0.42, bar.label, va="center", size=10.5, color="white" if bar.colour == OURS else "black"
             )
-            at = max(bar.relative or 0.0, 1.72 if not inside else 0.0) + 0.04
-            right.text(at, y - 0.42, bar.note, va="center", size=9.5, weight="bold" if inside else "normal")
+            at = max(bar.relative or 0.0, 1.35 if not inside else 0.0) + 0.04
+            right.text(at, y - 0.42, bar.note, va="center", size=10.5, weight="bold" if inside else "normal")
         y += 1.1
     right.set_ylim(y - 1.0, -0.7)
-    right.set_xlim(0.0, 2.45)
-    right.set_title("simulated time per day, OpenMM at 4 fs = 1", size=11, loc="left")
+    right.set_xlim(0.0, 2.55)
+    right.set_title("simulated time per day, OpenMM at 4 fs = 1", size=10.5, loc="left")
     right.axis("off")
     return figure
 
@@ -111,12 +111,12 @@ def villin(axes: Axes) -> None:
     centre = x[of_protein].mean(axis=0)
     water = np.array([a.index for a in atoms if a.residue.name == "HOH"])
     water = water[np.abs(x[water] - centre)[:, 2] < 0.6]
-    axes.scatter(*x[water, :2].T, s=14, color="#9ecae1", alpha=0.6, lw=0)
+    axes.scatter(*x[water, :2].T, s=9, color="#9ecae1", alpha=0.6, lw=0)
     order = of_protein[np.argsort(x[of_protein, 2])]
     symbols = {a.index: a.element.symbol for a in atoms}
     depth = np.linspace(0.55, 0.0, len(order))[:, None]  # distant atoms are paler
     colours = (1.0 - depth) * mpl.colors.to_rgba_array([COLOURS[symbols[i]] for i in order])[:, :3] + depth
-    axes.scatter(*x[order, :2].T, s=95, c=colours, edgecolors="white", lw=0.4)
+    axes.scatter(*x[order, :2].T, s=70, c=colours, edgecolors="white", lw=0.4)
     for direction, middle in zip((axes.set_xlim, axes.set_ylim), centre, strict=False):
         direction(middle - 1.75, middle + 1.75)
     axes.set_aspect("equal")

@@ -170,8 +170,9 @@ def test_openmm_at_8_fs_is_as_the_record_has_it_with_the_runs_that_ended():
         ("rotation of water is reported as {} K", "T_rot reported (K)"),
     ):
         assert words.format(theirs[name]) in which
-    for text in (which, tutorial):
+    for text in (which, tutorial, page("README.md"), page("docs/index.md")):
         assert f"{ours['ended']} ended" in text
+    for text in (which, tutorial):
         assert f"is {ours['U (kJ/mol per molecule of water)']} kJ/mol per molecule of water, and −40.68 ± 0.01" in text
     assert body[0][-1] == "−40.68 ± 0.01"
     assert f"for the peptide ({ours['T_peptide (K)']} K)" in which
