@@ -46,7 +46,7 @@ from openmm import unit
 from openmm_exactrb.averages.correlation import error_of_mean
 from openmm_exactrb.averages.estimators import FRAME, READY, Columns, Sampled, given, named, pressure_of
 from openmm_exactrb.averages.frames import BAR
-from openmm_exactrb.averages.record import Settings, read
+from openmm_exactrb.averages.record import RecordSettings, read
 from openmm_exactrb.openmm_access.units import plain
 from openmm_exactrb.support import checks
 from openmm_exactrb.support.types import Array
@@ -222,7 +222,7 @@ def pressure_offset(file: str | os.PathLike[str]) -> PressureOffset:
 _Result = tuple[float, float, float, float]
 
 
-def _errors(settings: Settings, columns: Columns, of: Sampled, local: bool, excess: float) -> tuple[float, float]:
+def _errors(settings: RecordSettings, columns: Columns, of: Sampled, local: bool, excess: float) -> tuple[float, float]:
     """Return errors of an average for weak and strong friction; `excess` is that of the barostat's pressure (bar)."""
     if not settings.barostat:
         return _at_fixed_volume(settings, columns, of, local, None)
@@ -234,14 +234,16 @@ def _errors(settings: Settings, columns: Columns, of: Sampled, local: bool, exce
     return own[0] + response * (offset[0] - excess), own[1] + response * (offset[1] - excess)
 
 
-def _of_barostat(settings: Settings, columns: Columns, pressure: Sampled, volume: Array | None) -> tuple[float, float]:
+def _of_barostat(
+    settings: RecordSettings, columns: Columns, pressure: Sampled, volume: Array | None
+) -> tuple[float, float]:
     """Return the errors, for weak and for strong friction, of the pressure under which a barostat samples volumes."""
     there = replace(settings, slopes=(settings.barostat_slope, settings.barostat_slope))
     return _at_fixed_volume(there, columns, pressure, False, volume)
 
 
 def _at_fixed_volume(
-    settings: Settings, columns: Columns, of: Sampled, local: bool, volume: Array | None
+    settings: RecordSettings, columns: Columns, of: Sampled, local: bool, volume: Array | None
 ) -> tuple[float, float]:
     """Return the errors of an average for weak and for strong friction, at a constant or a slowly changing volume."""
     alpha, kT, values = settings.alpha, settings.kT, of.values
@@ -259,7 +261,7 @@ def _at_fixed_volume(
     return settings.step**2 * (own + weak), settings.step**2 * (own + strong)
 
 
-def _of_harmonic_motions(settings: Settings, columns: Columns) -> float:
+def _of_harmonic_motions(settings: RecordSettings, columns: Columns) -> float:
     """Return the fourth-order error of the average potential energy of harmonic motions."""
     square, volume = columns["square"], columns["volume"] if settings.barostat else None
     return settings.step**4 * settings.quartic * _covariance(square, square, volume) / (4.0 * settings.kT)
@@ -293,7 +295,7 @@ def _jackknife(columns: Columns, of: Callable[[Columns], _Result]) -> Average:
     )
 
 
-def _checked(file: str | os.PathLike[str]) -> tuple[Settings, Columns]:
+def _checked(file: str | os.PathLike[str]) -> tuple[RecordSettings, Columns]:
     """Return the settings and columns of a file; raise ValueError if there are too few frames."""
     settings, columns = read(file)
     frames = len(columns["step"])

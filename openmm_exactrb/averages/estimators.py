@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from openmm_exactrb.averages.frames import BAR
-from openmm_exactrb.averages.record import Settings
+from openmm_exactrb.averages.record import RecordSettings
 from openmm_exactrb.support import checks
 from openmm_exactrb.support.types import Array
 
@@ -31,7 +31,7 @@ FRAME = "frame"
 Estimate = tuple[float, Sampled]
 
 
-def named(settings: Settings, name: str) -> Callable[[Columns], Estimate]:
+def named(settings: RecordSettings, name: str) -> Callable[[Columns], Estimate]:
     """Return the estimator of a named observable."""
     if name in settings.observables:
         return lambda columns: _mean(columns[name], columns[f"{name} slope"], columns[f"{name} inner slope"])
@@ -81,24 +81,24 @@ def _mean(values: Array, slope: Array | None = None, inner: Array | None = None)
     return float(values.mean()), Sampled(values, slopes)
 
 
-def _potential(settings: Settings, columns: Columns) -> Estimate:
+def _potential(settings: RecordSettings, columns: Columns) -> Estimate:
     return _energy(columns, columns["potential"])
 
 
-def pressure_of(settings: Settings, columns: Columns) -> Estimate:
+def pressure_of(settings: RecordSettings, columns: Columns) -> Estimate:
     """Return the molecular pressure."""
     return _mean(columns["pressure"], columns["pressure slope"], columns["pressure inner slope"])
 
 
-def _volume(settings: Settings, columns: Columns) -> Estimate:
+def _volume(settings: RecordSettings, columns: Columns) -> Estimate:
     return _mean(columns["volume"])
 
 
-def _density(settings: Settings, columns: Columns) -> Estimate:
+def _density(settings: RecordSettings, columns: Columns) -> Estimate:
     return _mean(_DENSITY * settings.mass / columns["volume"])
 
 
-def _enthalpy(settings: Settings, columns: Columns) -> Estimate:
+def _enthalpy(settings: RecordSettings, columns: Columns) -> Estimate:
     return _energy(columns, columns["potential"] + settings.pressure / BAR * columns["volume"])
 
 
@@ -106,7 +106,7 @@ def _energy(columns: Columns, values: Array) -> Estimate:
     return float(values.mean()), Sampled(values, (-columns["work"], -columns["inner work"]), energy=True)
 
 
-def _heat_capacity(settings: Settings, columns: Columns) -> Estimate:
+def _heat_capacity(settings: RecordSettings, columns: Columns) -> Estimate:
     """Return the heat capacity from the fluctuations of the enthalpy, or of the energy at constant volume."""
     _, energy = (_enthalpy if settings.barostat else _potential)(settings, columns)
     off = energy.values - energy.values.mean()
@@ -116,7 +116,7 @@ def _heat_capacity(settings: Settings, columns: Columns) -> Estimate:
     return value + 0.5 * settings.freedom * settings.kT / settings.temperature, of
 
 
-def _compressibility(settings: Settings, columns: Columns) -> Estimate:
+def _compressibility(settings: RecordSettings, columns: Columns) -> Estimate:
     """Return the isothermal compressibility from the fluctuations of the volume."""
     volume = columns["volume"]
     off, mean = volume - volume.mean(), float(volume.mean())
@@ -126,7 +126,7 @@ def _compressibility(settings: Settings, columns: Columns) -> Estimate:
     return scale * variance, of
 
 
-def _expansion(settings: Settings, columns: Columns) -> Estimate:
+def _expansion(settings: RecordSettings, columns: Columns) -> Estimate:
     """Return the thermal expansion coefficient from the covariance of the volume and the enthalpy."""
     volume, (_, enthalpy) = columns["volume"], _enthalpy(settings, columns)
     off, mean = volume - volume.mean(), float(volume.mean())

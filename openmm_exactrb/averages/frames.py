@@ -37,15 +37,15 @@ _SHIFT = 1e-4
 BAR = 16.605390671738466
 
 
-class Force(NamedTuple):
+class Generalised(NamedTuple):
     """A generalised force: forces (3, N), projected onto the constraints of clusters, and body-frame torques (3, K)."""
 
     force: Array
     torque: Array
 
-    def less(self, other: Force) -> Force:
+    def less(self, other: Generalised) -> Generalised:
         """Return this force minus another."""
-        return Force(self.force - other.force, self.torque - other.torque)
+        return Generalised(self.force - other.force, self.torque - other.torque)
 
 
 class Frames:
@@ -90,20 +90,20 @@ class Frames:
             values += [value(x), *(_slope(value, x, field.particles) for field in fields)]
         return values
 
-    def _generalised(self, state: BodyState, forces: Array) -> Force:
+    def _generalised(self, state: BodyState, forces: Array) -> Generalised:
         force, torque = self.bodies.forces(state, forces)
-        return Force(self.bodies.tangent(state._replace(P=force)).P, torque)
+        return Generalised(self.bodies.tangent(state._replace(P=force)).P, torque)
 
     def _fast_forces(self, x: Array) -> Array:
         assert self._excerpt is not None
         return self._excerpt.forces(self._context, x)
 
-    def _products(self, one: Force, other: Force) -> Force:
+    def _products(self, one: Generalised, other: Generalised) -> Generalised:
         """Return f·M⁻¹g of each body for forces f and g: for translation (N,) and for rotation (K,)."""
         translation = (one.force * other.force).sum(axis=0) / self.bodies.mass
-        return Force(translation, (one.torque * other.torque / self.bodies.inertia.T).sum(axis=0))
+        return Generalised(translation, (one.torque * other.torque / self.bodies.inertia.T).sum(axis=0))
 
-    def _split(self, product: Force) -> tuple[float, float]:
+    def _split(self, product: Generalised) -> tuple[float, float]:
         """Return the sums of a product over bodies without inner steps and over bodies with inner steps."""
         both = (~self._inner, self._inner)
         one, other = (_sum(product, (of.astype(float), of[: self.bodies.n_turning].astype(float))) for of in both)
@@ -122,24 +122,24 @@ class Frames:
         bodies[owner[near & (owner >= 0)]] = 1.0
         return bodies, bodies[: self.bodies.n_turning]
 
-    def _field(self, x: Array, state: BodyState, slow: Force, chosen: NDArray[np.bool_]) -> Field:
+    def _field(self, x: Array, state: BodyState, slow: Generalised, chosen: NDArray[np.bool_]) -> Field:
         """Return the velocity field M⁻¹f_s of selected bodies, which is zero for all others."""
         turning = chosen[: self.bodies.n_turning]
-        own = Force(slow.force * chosen, slow.torque * turning)
+        own = Generalised(slow.force * chosen, slow.torque * turning)
         particles = np.zeros((self.bodies.n_particles, 3))
         self.bodies.velocities(state._replace(P=own.force, m=own.torque), particles)
         self._sites.follow(x, particles)
-        return Field(Force(own.force / self.bodies.mass, own.torque / self.bodies.inertia.T), particles)
+        return Field(Generalised(own.force / self.bodies.mass, own.torque / self.bodies.inertia.T), particles)
 
 
 class Field(NamedTuple):
     """A velocity field, given for bodies and for all particles (n_particles, 3)."""
 
-    bodies: Force
+    bodies: Generalised
     particles: Array
 
 
-def _sum(product: Force, weights: tuple[Array, Array] | None = None) -> float:
+def _sum(product: Generalised, weights: tuple[Array, Array] | None = None) -> float:
     if weights is None:
         return float(product.force.sum() + product.torque.sum())
     return float(product.force @ weights[0] + product.torque @ weights[1])
@@ -252,9 +252,9 @@ class _ScaledContext:
         self,
         state: openmm.State,
         of_bodies: BodyState,
-        total: Force,
+        total: Generalised,
         fields: Sequence[Field],
-        generalised: Callable[[BodyState, Array], Force],
+        generalised: Callable[[BodyState, Array], Generalised],
     ) -> list[float]:
         """Return the molecular pressure and its slopes along fields, in bar and bar/ps².
 
@@ -299,7 +299,7 @@ class _ScaledContext:
         state: openmm.State,
         of_bodies: BodyState,
         scale: float,
-        generalised: Callable[[BodyState, Array], Force],
+        generalised: Callable[[BodyState, Array], Generalised],
     ) -> _Scaled:
         """Return the potential energy and the generalised force in a box with scaled lengths."""
         x = arrays.positions(state)

@@ -16,7 +16,7 @@ _MARK = "# "
 
 
 @dataclass(frozen=True)
-class Settings:
+class RecordSettings:
     """The settings of a run that the corrections need.
 
     Attributes
@@ -91,7 +91,7 @@ def of_observable(name: str) -> tuple[str, str, str]:
     return name, f"{name} slope", f"{name} inner slope"
 
 
-def columns_of(settings: Settings, pressure: bool, around: bool) -> tuple[str, ...]:
+def columns_of(settings: RecordSettings, pressure: bool, around: bool) -> tuple[str, ...]:
     """Return the names of the columns of a file."""
     names = ["step", "time (ps)", "potential (kJ/mol)", "volume (nm^3)"]
     names += ["square (kJ/mol/ps^2)", "inner square (kJ/mol/ps^2)"]
@@ -105,12 +105,12 @@ def columns_of(settings: Settings, pressure: bool, around: bool) -> tuple[str, .
     return tuple(names)
 
 
-def head(settings: Settings, columns: tuple[str, ...]) -> str:
+def head(settings: RecordSettings, columns: tuple[str, ...]) -> str:
     """Return the first two lines of a file."""
     return f"{_MARK}{json.dumps(asdict(settings))}\n{','.join(columns)}\n"
 
 
-def continued(file: Path, step: int, settings: Settings, columns: tuple[str, ...]) -> str:
+def continued(file: Path, step: int, settings: RecordSettings, columns: tuple[str, ...]) -> str:
     """Return the text of a file whose run continues at a step, without the frames after this step.
 
     Raises
@@ -134,12 +134,12 @@ def continued(file: Path, step: int, settings: Settings, columns: tuple[str, ...
     return "".join((first, second, *kept))
 
 
-def _settings(line: str) -> Settings | None:
+def _settings(line: str) -> RecordSettings | None:
     """Return the settings in a line, or None for a line that this version of `AverageReporter` did not write."""
     known = _values(line)
     tuples = {name: tuple(value) for name, value in known.items() if isinstance(value, list)}
     try:
-        return Settings(**{**known, **tuples})
+        return RecordSettings(**{**known, **tuples})
     except TypeError:
         return None
 
@@ -160,7 +160,7 @@ def _value(text: str) -> float:
         return np.nan
 
 
-def read(file: str | os.PathLike[str]) -> tuple[Settings, dict[str, Array]]:
+def read(file: str | os.PathLike[str]) -> tuple[RecordSettings, dict[str, Array]]:
     """Return the settings of a file, and its columns by name (without units).
 
     Raises

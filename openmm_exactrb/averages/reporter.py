@@ -16,7 +16,7 @@ from openmm import unit
 from openmm_exactrb.averages.dynamics import dynamics_of
 from openmm_exactrb.averages.estimators import READY
 from openmm_exactrb.averages.frames import Frames, Observable
-from openmm_exactrb.averages.record import COLUMNS, Settings, columns_of, continued, head, of_observable
+from openmm_exactrb.averages.record import COLUMNS, RecordSettings, columns_of, continued, head, of_observable
 from openmm_exactrb.context.updates import BAROSTATS, acting_updates
 from openmm_exactrb.openmm_access.units import gas_constant_times, plain
 from openmm_exactrb.support import checks
@@ -155,12 +155,12 @@ class AverageReporter:
         groups, context = simulation.integrator.getIntegrationForceGroups(), simulation.context
         return self._dynamics.changing(), groups, dict(context.getParameters()), _barostat(context)
 
-    def _settings(self, simulation: Any) -> Settings:
+    def _settings(self, simulation: Any) -> RecordSettings:
         """Return the settings of a Simulation; raise ValueError if its averages cannot be corrected."""
         system, dynamics, errors = simulation.system, self._dynamics, self._dynamics.errors
         barostat, pressure = _barostat(simulation.context)
         masses = (system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles()))
-        return Settings(
+        return RecordSettings(
             scheme=dynamics.scheme,
             step=dynamics.step,
             alpha=errors.alpha,

@@ -11,7 +11,7 @@ import openmm
 
 from openmm_exactrb.context.synchronisation import Positions
 from openmm_exactrb.context.timings import Timings
-from openmm_exactrb.mechanics.bodies import Part
+from openmm_exactrb.mechanics.bodies import ChosenBodies
 from openmm_exactrb.mechanics.state import BodyState, Force, ForceMemory, State
 from openmm_exactrb.openmm_access import arrays, platforms
 from openmm_exactrb.support.types import Array
@@ -174,7 +174,7 @@ class Remainder(EvaluatedForces):
     For any choice of fast forces, the remainder and the fast forces sum to all forces. The System is not modified.
     """
 
-    def __init__(self, forces: ContextForces, fast: ContextForces, part: Part) -> None:
+    def __init__(self, forces: ContextForces, fast: ContextForces, part: ChosenBodies) -> None:
         super().__init__(forces.positions)
         self._forces, self._fast, self._part = forces, fast, part
 

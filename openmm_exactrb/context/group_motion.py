@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from openmm_exactrb.mechanics.bodies import Part, RigidBodies
+from openmm_exactrb.mechanics.bodies import ChosenBodies, RigidBodies
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.support import checks
 
@@ -34,7 +34,7 @@ def of_groups(
     found = {}
     for name, particles in zip(groups, lists, strict=True):
         chosen = _chosen(bodies, name, particles)
-        part = Part(bodies.chosen(chosen, np.arange(bodies.n_particles), bodies.n_particles), chosen)
+        part = ChosenBodies(bodies.chosen(chosen, np.arange(bodies.n_particles), bodies.n_particles), chosen)
         lost = 3.0 * removes_motion * float(part.bodies.mass.sum() / bodies.mass.sum())
         freedom = part.bodies.translational_freedom - lost, part.bodies.rotational_freedom
         found[name] = Motion(part.bodies.kinetic_energies(part.of(state).rounded, drift), freedom)

@@ -12,7 +12,7 @@ from openmm_exactrb.mechanics.fit import REFUSED
 from openmm_exactrb.mechanics.images import joined
 from openmm_exactrb.mechanics.links import Links
 from openmm_exactrb.openmm_access import arrays, parameters
-from openmm_exactrb.openmm_access.parameters import Rows
+from openmm_exactrb.openmm_access.parameters import TermRows
 from openmm_exactrb.support.types import Array
 
 # A distance that differs from the constrained length by more than this fraction of it indicates a split molecule.
@@ -82,7 +82,7 @@ def mended(context: Any) -> float:
     return 0.0
 
 
-def _enforced(system: openmm.System) -> Rows:
+def _enforced(system: openmm.System) -> TermRows:
     """Return the constraints of a System, without those between frozen particles, which OpenMM ignores."""
     pairs, lengths = parameters.constraints(system)
     moving = parameters.masses(system)[pairs].any(axis=1)

@@ -21,7 +21,7 @@ from openmm_exactrb.detection.whole import whole_positions
 from openmm_exactrb.errors import ShapeWarning
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
 from openmm_exactrb.openmm_access import arrays, parameters
-from openmm_exactrb.openmm_access.parameters import Rows
+from openmm_exactrb.openmm_access.parameters import TermRows
 from openmm_exactrb.support import checks
 from openmm_exactrb.support.messages import listed
 from openmm_exactrb.support.types import Array, Indices
@@ -197,7 +197,7 @@ def _named_bodies(system: openmm.System, masses: Array, bodies: Sequence[Sequenc
     return named
 
 
-def _groups(held: Rows, masses: Array, given: list[Indices]) -> list[_Group]:
+def _groups(held: TermRows, masses: Array, given: list[Indices]) -> list[_Group]:
     """Return the groups of connected particles with mass, in the order of their first particles."""
     from scipy.sparse import coo_array  # imported here, because it is slow to import
     from scipy.sparse.csgraph import connected_components
@@ -219,7 +219,7 @@ def _groups(held: Rows, masses: Array, given: list[Indices]) -> list[_Group]:
     return sorted(found, key=lambda group: int(group.particles[0, 0]))
 
 
-def _of_one_size(held: Rows, label: Indices) -> Iterable[tuple[Indices, Indices, Array]]:
+def _of_one_size(held: TermRows, label: Indices) -> Iterable[tuple[Indices, Indices, Array]]:
     """Yield clusters of equally many particles and constraints: particles (N, n), members (N, m, 2), lengths (N, m).
 
     A cluster consists of the particles with one label.

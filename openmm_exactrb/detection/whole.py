@@ -27,7 +27,7 @@ from openmm_exactrb.mechanics.images import (
 from openmm_exactrb.mechanics.links import Links
 from openmm_exactrb.mechanics.shortest_links import connected_within
 from openmm_exactrb.openmm_access import parameters
-from openmm_exactrb.openmm_access.parameters import Rows
+from openmm_exactrb.openmm_access.parameters import TermRows
 from openmm_exactrb.support import checks
 from openmm_exactrb.support.types import Array, Indices
 from openmm_exactrb.support.warn import warn
@@ -63,7 +63,7 @@ def molecular_links(system: openmm.System, molecule: Indices) -> Links:
     return Links(np.concatenate([pairs, rest]), np.concatenate([lengths, np.full(len(rest), np.nan)]), n)
 
 
-def _with_bonds(system: openmm.System, held: Rows) -> Rows:
+def _with_bonds(system: openmm.System, held: TermRows) -> TermRows:
     """Return the particles (m, 2) of constraints and bonds, and their lengths (m,) in nm, nan if unknown."""
     pairs, lengths = [held[0]], [held[1]]
     for force in system.getForces():
@@ -76,7 +76,7 @@ def _with_bonds(system: openmm.System, held: Rows) -> Rows:
 
 
 def whole_positions(
-    system: openmm.System, x: Array, masses: Array, named: list[Indices], box: Array | None, held: Rows
+    system: openmm.System, x: Array, masses: Array, named: list[Indices], box: Array | None, held: TermRows
 ) -> Array:
     """Return positions (n_particles, 3) in which constrained clusters and bodies named by the user are whole.
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from openmm_exactrb.mathematics.quaternions import Numbers
+from openmm_exactrb.mathematics.quaternions import Real
 from openmm_exactrb.support.types import Array
 
 
@@ -43,21 +43,21 @@ def keep_norm(m1: Array, m: Array, square: Array) -> Array:
     return m1
 
 
-def two_sum(a: Numbers, b: Numbers) -> tuple[Numbers, Numbers]:
+def two_sum(a: Real, b: Real) -> tuple[Real, Real]:
     """Return a + b, and its rounding error (D. E. Knuth, The Art of Computer Programming 2, 4.2.2, theorem B)."""
     total = a + b
     shadow = total - a
     return total, (a - (total - shadow)) + (b - shadow)
 
 
-def two_difference(a: Numbers, b: Numbers) -> tuple[Numbers, Numbers]:
+def two_difference(a: Real, b: Real) -> tuple[Real, Real]:
     """Return a - b, and its rounding error."""
     d = a - b
     shadow = d - a
     return d, (a - (d - shadow)) - (b + shadow)
 
 
-def two_product(a: Numbers, b: Numbers) -> tuple[Numbers, Numbers]:
+def two_product(a: Real, b: Real) -> tuple[Real, Real]:
     """Return a b, and its rounding error (T. J. Dekker, Numer. Math. 18, 224 (1971), doi:10.1007/BF01397083)."""
     p = a * b
     a_high, a_low = halves(a)
@@ -65,14 +65,14 @@ def two_product(a: Numbers, b: Numbers) -> tuple[Numbers, Numbers]:
     return p, ((a_high * b_high - p) + a_high * b_low + a_low * b_high) + a_low * b_low
 
 
-def halves(a: Numbers) -> tuple[Numbers, Numbers]:
+def halves(a: Real) -> tuple[Real, Real]:
     """Return the high and the low half of a number, whose 53 bits are split into 26 and 27."""
     t = 134217729.0 * a
     high = t - (t - a)
     return high, a - high
 
 
-def times(a: Numbers, b: tuple[Numbers, Numbers]) -> tuple[Numbers, Numbers]:
+def times(a: Real, b: tuple[Real, Real]) -> tuple[Real, Real]:
     """Return the double-double a b, for a number a and a double-double b."""
     leading, error = two_product(a, b[0])
     error = error + a * b[1]
@@ -80,14 +80,14 @@ def times(a: Numbers, b: tuple[Numbers, Numbers]) -> tuple[Numbers, Numbers]:
     return total, error - (total - leading)
 
 
-def quotient(a: Array, b: Numbers) -> Array:
+def quotient(a: Array, b: Real) -> Array:
     """Return the double-double a/b, for a double-double a (2, ...) and a number b."""
     leading = a[0] / b
     product, error = two_product(leading, b)
     return np.array(two_sum(leading, ((a[0] - product) - error + a[1]) / b))
 
 
-def times_squared(factor: tuple[Numbers, Numbers], x: Numbers) -> tuple[Numbers, Numbers]:
+def times_squared(factor: tuple[Real, Real], x: Real) -> tuple[Real, Real]:
     """Return the product of a double-double factor and the square of a number x, as a double-double."""
     square, square_error = two_product(x, x)
     leading, error = two_product(factor[0], square)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from openmm_exactrb.mathematics.quaternions import Numbers
+from openmm_exactrb.mathematics.quaternions import Real
 from openmm_exactrb.support.types import Array
 
 #: Beyond this argument, sech(v)² would leave the range of float64. On the separatrix, the functions are constant there.
@@ -152,7 +152,7 @@ def _even_rule(n: int) -> tuple[Array, Array]:
 RULES = (_even_rule(3), _even_rule(5))
 
 
-def sine_short(s: Numbers, x: Numbers, z: Numbers) -> Numbers:
+def sine_short(s: Real, x: Real, z: Real) -> Real:
     """Return w = sn(v)/c at s = v/c for abs(s) <= 0.3, where dw/ds = sqrt((1 - x w²)(1 - z w²)).
 
     x and z are in [0, 1]. The Taylor series to eleventh order is evaluated at s/2, and the argument is then doubled.

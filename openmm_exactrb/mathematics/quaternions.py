@@ -14,7 +14,7 @@ from openmm_exactrb.mathematics.constants import TO_GRID
 from openmm_exactrb.support.types import Array
 
 #: An array or a number.
-Numbers: TypeAlias = Any
+Real: TypeAlias = Any
 
 
 def multiply(p: Array, q: Array) -> Array:
@@ -22,9 +22,7 @@ def multiply(p: Array, q: Array) -> Array:
     return np.array(product(*p, *q))
 
 
-def product(
-    p0: Numbers, p1: Numbers, p2: Numbers, p3: Numbers, q0: Numbers, q1: Numbers, q2: Numbers, q3: Numbers
-) -> tuple[Numbers, ...]:
+def product(p0: Real, p1: Real, p2: Real, p3: Real, q0: Real, q1: Real, q2: Real, q3: Real) -> tuple[Real, ...]:
     """Return the components of the product p q, for arrays or for numbers."""
     return (
         p0 * q0 - p1 * q1 - p2 * q2 - p3 * q3,

@@ -202,7 +202,7 @@ class RigidBodies:
         raise IndexError(f"body {body} does not exist: use a number from 0 to {len(self) - 1}")
 
 
-class Part:
+class ChosenBodies:
     """Bodies that `RigidBodies.chosen` has selected, and the mask `chosen` (N,) of the selection."""
 
     def __init__(self, bodies: RigidBodies, chosen: NDArray[np.bool_]) -> None:

@@ -11,8 +11,7 @@ from openmm_exactrb.constraints.clusters import ClusterState
 from openmm_exactrb.mathematics.compensated import add, exactly
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.state import Flow, State
-from openmm_exactrb.rotors import Flow as Rotation
-from openmm_exactrb.rotors import Rotor, rotor_of_sums
+from openmm_exactrb.rotors import Rotation, Rotor, rotor_of_sums
 from openmm_exactrb.support.types import Array
 
 

@@ -33,7 +33,7 @@ _SAMPLE = 1000
 _CELLS = 2**14
 
 
-class Found(NamedTuple):
+class ShortestLinks(NamedTuple):
     """Links (m, 2) between particles, their lengths (m,), and the shifts (m, 3) of their second ends by box vectors."""
 
     pairs: Indices
@@ -48,7 +48,7 @@ def shortest_links(X: Array, box: Array | None = None, within: float = np.inf) -
     numbers of box vectors. Links longer than `within` may be missing.
     """
     n, k, _ = X.shape
-    found, label = [Found(np.zeros((0, 2), dtype=np.intp), np.zeros(0), np.zeros((0, 3)))], np.arange(n * k)
+    found, label = [ShortestLinks(np.zeros((0, 2), dtype=np.intp), np.zeros(0), np.zeros((0, 3)))], np.arange(n * k)
     for reach in _reaches(X, box, within):
         neighbours = _Neighbours(X, box, reach)
         while len((some := neighbours.of_other_groups(label)).pairs):
@@ -141,7 +141,7 @@ class _Neighbours:
     def _tree(self) -> Any:
         return _tree(self._places)
 
-    def of_other_groups(self, label: Indices) -> Found:
+    def of_other_groups(self, label: Indices) -> ShortestLinks:
         """Return, for each group of particles with equal labels, a shortest link to a particle of another group."""
         length, place = np.full(len(label), np.inf), np.zeros(len(label), dtype=np.intp)
         inside = ~self._take(label, self._rows, *self._lists, length, place)
@@ -158,7 +158,7 @@ class _Neighbours:
         ends = ends[np.unique(label[ends], return_index=True)[1]]
         others = place[ends]
         pairs = np.column_stack([ends, self._source[others]])
-        return Found(pairs, length[ends], self._shifts[others] - self._wraps[ends])
+        return ShortestLinks(pairs, length[ends], self._shifts[others] - self._wraps[ends])
 
     def _take(
         self, label: Indices, particles: Indices, distances: Array, near: Indices, length: Array, place: Indices

@@ -164,7 +164,7 @@ class BondedNumbers:
         return numbers
 
 
-def _terms(force: Any) -> parameters.Rows:
+def _terms(force: Any) -> parameters.TermRows:
     """Return the terms of a bonded force, or the exceptions of a NonbondedForce."""
     return parameters.exceptions(force) if isinstance(force, openmm.NonbondedForce) else parameters.terms(force)
 

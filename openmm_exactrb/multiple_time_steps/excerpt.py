@@ -15,7 +15,7 @@ import numpy as np
 import openmm
 from numpy.typing import NDArray
 
-from openmm_exactrb.mechanics.bodies import Part, RigidBodies
+from openmm_exactrb.mechanics.bodies import ChosenBodies, RigidBodies
 from openmm_exactrb.multiple_time_steps.bonded import BONDED_FORCES, Bonded, interacting_exceptions
 from openmm_exactrb.multiple_time_steps.virtual_sites import (
     add_particles,
@@ -50,10 +50,10 @@ class Excerpt:
     bodies: RigidBodies
 
     @cached_property
-    def part(self) -> Part:
+    def part(self) -> ChosenBodies:
         """The bodies that consist of these particles, which are numbered as in `system`."""
         chosen = self.bodies.touched(self.particles)
-        return Part(self.bodies.chosen(chosen, self._number, len(self.particles)), chosen)
+        return ChosenBodies(self.bodies.chosen(chosen, self._number, len(self.particles)), chosen)
 
     @cached_property
     def on_sites(self) -> Sequence[Bonded]:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from openmm_exactrb.support.types import Array, Indices
 
 #: Integers (n, k) of terms, such as particles, and real numbers (n, m), in the order and the units of OpenMM.
-Rows = tuple[Indices, Array]
+TermRows = tuple[Indices, Array]
 
 # For each force: the name of its terms, and their numbers of integers and of real numbers (None if OpenMM returns the
 # real numbers in an array).
@@ -35,7 +35,7 @@ _TERMS = {
 _MOST = 10
 
 
-def terms(force: Any) -> Rows:
+def terms(force: Any) -> TermRows:
     """Return the bonds, angles or torsions of a bonded force."""
     name, whole, others = _TERMS[type(force)]
     count = getattr(force, f"getNum{name}s")()
@@ -45,7 +45,7 @@ def terms(force: Any) -> Rows:
     return _rows(force, f"get{name}Parameters", count, whole, others)
 
 
-def exceptions(force: openmm.NonbondedForce) -> Rows:
+def exceptions(force: openmm.NonbondedForce) -> TermRows:
     """Return particles (n, 2) of the exceptions of a force, and their charge products, sigma and epsilon (n, 3)."""
     return _rows(force, "getExceptionParameters", force.getNumExceptions(), 2, 3)
 
@@ -57,7 +57,7 @@ def exception_offsets(force: openmm.NonbondedForce) -> tuple[list[str], Indices,
     return [name for name, *_ in found], places, np.array([scales for _, _, *scales in found]).reshape(-1, 3)
 
 
-def constraints(system: openmm.System) -> Rows:
+def constraints(system: openmm.System) -> TermRows:
     """Return the particles (n, 2) of constraints, and their lengths (n,) in nm."""
     particles, lengths = _rows(system, "getConstraintParameters", system.getNumConstraints(), 2, 1)
     return particles, lengths[:, 0]
@@ -70,7 +70,7 @@ def masses(system: openmm.System) -> Array:
     return out
 
 
-def _rows(source: Any, function: str, count: int, whole: int, others: int) -> Rows:
+def _rows(source: Any, function: str, count: int, whole: int, others: int) -> TermRows:
     particles, numbers = np.empty((count, whole), dtype=np.int64), np.empty((count, others))
     row, real = np.empty(whole, dtype=np.int32), np.empty(others)
     targets = _targets(*_places(row), *_places(real))
@@ -79,7 +79,7 @@ def _rows(source: Any, function: str, count: int, whole: int, others: int) -> Ro
     return particles, numbers
 
 
-def _rows_of_arrays(source: Any, function: str, count: int, whole: int, others: int) -> Rows:
+def _rows_of_arrays(source: Any, function: str, count: int, whole: int, others: int) -> TermRows:
     particles, numbers = np.empty((count, whole), dtype=np.int64), np.empty((count, others))
     row = np.empty(whole, dtype=np.int32)
     create, destroy = (_library()[f"OpenMM_DoubleArray_{name}"] for name in ("create", "destroy"))

@@ -15,7 +15,7 @@ from openmm_exactrb.integrators.step_sizes import femtoseconds
 _MOST, _ROUNDING = 1000, 1e-9
 
 
-class Clock:
+class SharedClock:
     """The steps of a script in terms of the steps that an integrator makes.
 
     Parameters
@@ -93,10 +93,10 @@ class Clock:
             self._divided = False
 
 
-def changes_of_simulation(clock_of: Callable[[Any], Clock | None]) -> Iterator[tuple[Any, str, Any]]:
+def changes_of_simulation(clock_of: Callable[[Any], SharedClock | None]) -> Iterator[tuple[Any, str, Any]]:
     """Yield changes of app.Simulation with which it counts a script's steps, as (owner, name, attribute).
 
-    clock_of(integrator) returns the Clock of an integrator, or None.
+    clock_of(integrator) returns the SharedClock of an integrator, or None.
     """
     count, simulate, report = (vars(app.Simulation)[name] for name in ("currentStep", "_simulate", "_generate_reports"))
 

@@ -13,7 +13,7 @@ import openmm
 
 from openmm_exactrb.context.updates import BAROSTATS, frequency
 from openmm_exactrb.integrators.step_sizes import described, femtoseconds
-from openmm_exactrb.replacement.clock import Clock
+from openmm_exactrb.replacement.clock import SharedClock
 from openmm_exactrb.replacement.integrators import Replacement
 from openmm_exactrb.support import checks
 
@@ -44,7 +44,7 @@ class Replaced:
         self.steps, self.forceEvaluations, self.time, self.openmmForceEvaluations = 0, 0, 0.0, 0.0
         self._same_time, self._tell, self._told = same_time, tell, set[str]()
         self._counting = threading.Lock()
-        self._clocks: weakref.WeakKeyDictionary[Any, Clock] = weakref.WeakKeyDictionary()
+        self._clocks: weakref.WeakKeyDictionary[Any, SharedClock] = weakref.WeakKeyDictionary()
         # The System of each integrator with a clock, and the number of forces of which barostats were divided.
         self._systems: weakref.WeakKeyDictionary[Any, openmm.System] = weakref.WeakKeyDictionary()
         self._divided: weakref.WeakKeyDictionary[openmm.System, int] = weakref.WeakKeyDictionary()
@@ -76,12 +76,12 @@ class Replaced:
             )
         self.tell_once(text)
 
-    def clock(self, integrator: Any) -> Clock | None:
+    def clock(self, integrator: Any) -> SharedClock | None:
         """Return how steps of the script are counted if its simulated time is kept, or None."""
         if not self._same_time or not isinstance(integrator, Replacement) or not integrator.scriptStep:
             return None
         if integrator not in self._clocks:
-            self._clocks[integrator] = Clock(integrator.scriptStep, integrator._h)  # noqa: SLF001
+            self._clocks[integrator] = SharedClock(integrator.scriptStep, integrator._h)  # noqa: SLF001
         return self._clocks[integrator]
 
     def step(self, integrator: Any, steps: int, take: Callable[[int], None]) -> None:
@@ -113,7 +113,7 @@ class Replaced:
             self._systems[integrator] = system
             self._divide_barostats(system, clock)
 
-    def _divide_barostats(self, system: openmm.System, clock: Clock) -> None:
+    def _divide_barostats(self, system: openmm.System, clock: SharedClock) -> None:
         """Let new barostats of a System act about as often in time as with the steps of the script."""
         seen, self._divided[system] = self._divided.get(system, 0), system.getNumForces()
         for force in [system.getForce(k) for k in range(seen, system.getNumForces())]:

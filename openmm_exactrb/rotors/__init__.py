@@ -1,7 +1,7 @@
 """Flows of the free rigid body with a common interface."""
 
 from openmm_exactrb.errors import NotConvergedWarning
-from openmm_exactrb.rotors.flow import Flow
+from openmm_exactrb.rotors.flow import Rotation
 from openmm_exactrb.rotors.front import free_rotor
 from openmm_exactrb.rotors.registry import (
     LARGEST_MOMENT,
@@ -19,8 +19,8 @@ __all__ = [
     "ROTORS",
     "SMALLEST_MOMENT",
     "WIDEST",
-    "Flow",
     "NotConvergedWarning",
+    "Rotation",
     "Rotor",
     "free_rotor",
     "look_up",

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from openmm_exactrb.mathematics.compensated import add, exactly, keep_norm, times, times_squared, two_difference
 from openmm_exactrb.mathematics.elliptic import jacobi, sine_short, third_kind, third_kind_short
-from openmm_exactrb.mathematics.quaternions import Numbers, multiply, norm_defect, renormalise
+from openmm_exactrb.mathematics.quaternions import Real, multiply, norm_defect, renormalise
 from openmm_exactrb.rotors.constants import SHORT
 from openmm_exactrb.support.types import Array
 
@@ -248,7 +248,7 @@ def _norm_conserving(change: Array, m: Array, G: Array) -> Array:
     return change
 
 
-def separatrix_difference(I1: Numbers, I2: Numbers, I3: Numbers, m1: Numbers, m3: Numbers) -> tuple[Numbers, Numbers]:
+def separatrix_difference(I1: Real, I2: Real, I3: Real, m1: Real, m3: Real) -> tuple[Real, Real]:
     """Return d = I3 (I2 - I1) m1² - I1 (I3 - I2) m3², which vanishes on the separatrix, and the sum of both terms.
 
     The difference is computed in double-double, because near the separatrix a double would lose all of its digits.

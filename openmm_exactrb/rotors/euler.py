@@ -23,7 +23,7 @@ from openmm_exactrb.mathematics.elliptic import jacobi, third_kind_legendre
 from openmm_exactrb.mathematics.quaternions import multiply, renormalise
 from openmm_exactrb.rotors import exact
 from openmm_exactrb.rotors.closed_form import SAFE
-from openmm_exactrb.rotors.flow import Flow, ascending
+from openmm_exactrb.rotors.flow import Rotation, ascending
 from openmm_exactrb.support.types import Array
 
 #: Bodies within this relative distance of symmetry, the separatrix or stationary rotation use the exact flow.
@@ -75,7 +75,7 @@ ThirdKind = Callable[[Orbit, Array], Array]
 Attitude = Callable[[Orbit], Array]
 
 
-def flow_of(inertia: Array, attitude: Attitude) -> Flow:
+def flow_of(inertia: Array, attitude: Attitude) -> Rotation:
     """Return the flow for moments (3, 1) or (3, N), with momenta by Jacobi's solution and rotations by `attitude`.
 
     Bodies for which Jacobi's solution is singular use the exact flow: see `is_regular`.

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from openmm_exactrb.library import functions
 from openmm_exactrb.rotors import closed_form
 from openmm_exactrb.rotors.constants import SHORT
-from openmm_exactrb.rotors.flow import Flow, ascending
+from openmm_exactrb.rotors.flow import Rotation, ascending
 from openmm_exactrb.support.types import Array
 
 # The largest number of short steps of the library, which take 5 us; a call of NumPy takes 300 us, and 2 us for a body.
@@ -23,12 +23,12 @@ _MOST_PARTS = 64
 _LIMITS = np.array([_MOST_PARTS * SHORT, *closed_form.SAFE, closed_form.VANISHING, closed_form.LARGEST_ANGLE])
 
 
-def fastest(inertia: Array) -> Flow:
+def fastest(inertia: Array) -> Rotation:
     """Return the exact flow for moments (3, 1) or (3, N), by the library if there is one; see `in_numpy`."""
     return _in_any_order(inertia, _by_library if functions.available() else closed_form.advance)
 
 
-def in_numpy(inertia: Array) -> Flow:
+def in_numpy(inertia: Array) -> Rotation:
     """Return the exact flow in NumPy for moments (3, 1) or (3, N); the flow also accepts double-doubles (2, ., N)."""
     return _in_any_order(inertia, closed_form.advance)
 
@@ -43,7 +43,7 @@ def _by_library(body: Array, q: Array, m: Array, t: Array, q1: Array, m1: Array)
         q1[..., ~done], m1[..., ~done] = q2, m2
 
 
-def _in_any_order(inertia: Array, advance: Callable[..., None]) -> Flow:
+def _in_any_order(inertia: Array, advance: Callable[..., None]) -> Rotation:
     """Return the flow for moments in any order, given a kernel for ascending moments."""
     order, back, handedness = ascending(inertia)
     body = constants(np.take_along_axis(inertia, order, axis=0))

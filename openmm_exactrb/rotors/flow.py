@@ -12,11 +12,11 @@ from openmm_exactrb.support.types import Array
 
 #: flow(q, m, t) -> (q, m), component-first: q (4, N) scalar first, m (3, N) in the body frame, t scalar or (N,).
 #: Some flows also take double-doubles, (2, 4, N) and (2, 3, N).
-Flow = Callable[[Array, Array, Array | float], tuple[Array, Array]]
+Rotation = Callable[[Array, Array, Array | float], tuple[Array, Array]]
 _FLOAT = np.dtype(np.float64)
 
 
-def fitting(inertia: Array, flow: Flow, sums: bool) -> Flow:
+def fitting(inertia: Array, flow: Rotation, sums: bool) -> Rotation:
     """Return a flow that checks array lengths, because compiled code would write past the ends of short arrays.
 
     A ValueError is raised if the lengths differ. `sums` states whether the flow takes double-doubles.

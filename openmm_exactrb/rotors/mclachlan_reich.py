@@ -11,14 +11,14 @@ from __future__ import annotations
 import numpy as np
 
 from openmm_exactrb.mathematics.quaternions import renormalise
-from openmm_exactrb.rotors.flow import Flow
+from openmm_exactrb.rotors.flow import Rotation
 from openmm_exactrb.support.types import Array
 
 # Axis of each rotation, and its fraction of the time step.
 _SPLITTING = ((0, 0.5), (1, 0.5), (2, 1.0), (1, 0.5), (0, 0.5))
 
 
-def rotor(inertia: Array) -> Flow:
+def rotor(inertia: Array) -> Rotation:
     """Return the splitting flow of free bodies with these principal moments of inertia, (3, 1) or (3, N)."""
     inverse = 1.0 / inertia
 

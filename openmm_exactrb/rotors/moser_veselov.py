@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from openmm_exactrb.errors import NotConvergedWarning
 from openmm_exactrb.mathematics.compensated import keep_norm
 from openmm_exactrb.mathematics.quaternions import multiply, renormalise
-from openmm_exactrb.rotors.flow import Flow
+from openmm_exactrb.rotors.flow import Rotation
 from openmm_exactrb.support.types import Array
 from openmm_exactrb.support.warn import warn
 
@@ -35,10 +35,10 @@ _CONVERGED = 1e-15
 _QUARTER_TURN = 0.5 * np.pi
 
 
-def rotor(order: int) -> Callable[[Array], Flow]:
+def rotor(order: int) -> Callable[[Array], Rotation]:
     """Return the factory of the preprocessed discrete Moser-Veselov flow of order 4, 6, 8 or 10."""
 
-    def factory(inertia: Array) -> Flow:
+    def factory(inertia: Array) -> Rotation:
         scale = np.ldexp(1.0, np.frexp(inertia.max(axis=0))[1])
         moments = inertia / scale
         series = _series(moments, order)

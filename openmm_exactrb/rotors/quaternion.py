@@ -21,11 +21,11 @@ import numpy as np
 from openmm_exactrb.mathematics.quaternions import multiply
 from openmm_exactrb.rotors import euler, rotation
 from openmm_exactrb.rotors.euler import Orbit, Phase, ThirdKind, carlson
-from openmm_exactrb.rotors.flow import Flow
+from openmm_exactrb.rotors.flow import Rotation
 from openmm_exactrb.support.types import Array
 
 
-def kosenko(inertia: Array, third_kind: ThirdKind = carlson) -> Flow:
+def kosenko(inertia: Array, third_kind: ThirdKind = carlson) -> Rotation:
     """Return the flow with choice (a) of Celledoni et al., theta = 0: I. I. Kosenko (1998), equation (38).
 
     The integrand (2T + omega3)/(1 + x3) equals (2T + omega3)(1 - x3)/(1 - x3²). Its part even in x3 gives the integral
@@ -41,7 +41,7 @@ def kosenko(inertia: Array, third_kind: ThirdKind = carlson) -> Flow:
     return _flow(inertia, angle)
 
 
-def moving_frame(inertia: Array) -> Flow:
+def moving_frame(inertia: Array) -> Rotation:
     """Return the flow with choice (b) of Celledoni et al.: the frame (mdot, m x mdot, m), as in `rotors.rotation`."""
 
     def theta(inertia: Array, x: Array) -> Array:
@@ -55,7 +55,7 @@ def moving_frame(inertia: Array) -> Flow:
     return _flow(inertia, angle)
 
 
-def van_zon_schofield(inertia: Array) -> Flow:
+def van_zon_schofield(inertia: Array) -> Rotation:
     """Return the flow with choice (c) of Celledoni et al., the frame (m x e3, m x (m x e3), m).
 
     R. van Zon and J. Schofield, J. Comput. Phys. 225, 145 (2007), doi:10.1016/j.jcp.2006.11.019.
@@ -69,7 +69,7 @@ def van_zon_schofield(inertia: Array) -> Flow:
     return _flow(inertia, angle)
 
 
-def _flow(inertia: Array, angle: Callable[[Orbit], Array]) -> Flow:
+def _flow(inertia: Array, angle: Callable[[Orbit], Array]) -> Rotation:
     """Return the flow in which y rotates by a given angle psi + theta(t) - theta(0)."""
 
     def attitude(orbit: Orbit) -> Array:

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from openmm_exactrb.mathematics.compensated import exactly
 from openmm_exactrb.rotors import euler, exact, mclachlan_reich, moser_veselov, quaternion, rotation
-from openmm_exactrb.rotors.flow import Flow, fitting
+from openmm_exactrb.rotors.flow import Rotation, fitting
 from openmm_exactrb.support import checks
 from openmm_exactrb.support.types import Array
 
@@ -50,7 +50,7 @@ class Rotor:
 
     name: str
     order: int | None
-    factory: Callable[[Array], Flow]
+    factory: Callable[[Array], Rotation]
     reference: str
     keeps_energy: bool = True
     largest_angle: float = math.inf
@@ -104,7 +104,7 @@ def look_up(rotor: str | Rotor) -> Rotor:
     return ROTORS[rotor]
 
 
-def rotor(method: str | Rotor, inertia: ArrayLike) -> Flow:
+def rotor(method: str | Rotor, inertia: ArrayLike) -> Rotation:
     """Return the flow of free bodies with principal moments (3,) or (N, 3), for a key of `ROTORS` or a `Rotor`.
 
     A ValueError is raised if the rotor is unknown, or if moments have another shape, are not real, positive and finite,
@@ -133,7 +133,7 @@ def _columns(inertia: ArrayLike) -> Array:
     return np.ascontiguousarray(np.atleast_2d(moments).T)
 
 
-def rotor_of_sums(method: str | Rotor, inertia: ArrayLike, checked: bool = True) -> Flow:
+def rotor_of_sums(method: str | Rotor, inertia: ArrayLike, checked: bool = True) -> Rotation:
     """Return the flow of free bodies whose orientations (2, 4, N) and momenta (2, 3, N) are double-doubles.
 
     Parameters and errors are those of `rotor`. The results of a rotor without ``Rotor.sums`` are rounded to float64.

@@ -14,11 +14,11 @@ import numpy as np
 from openmm_exactrb.mathematics.quaternions import from_matrix
 from openmm_exactrb.rotors import euler
 from openmm_exactrb.rotors.euler import Orbit, ThirdKind, carlson
-from openmm_exactrb.rotors.flow import Flow
+from openmm_exactrb.rotors.flow import Rotation
 from openmm_exactrb.support.types import Array
 
 
-def rotor(inertia: Array, third_kind: ThirdKind = carlson) -> Flow:
+def rotor(inertia: Array, third_kind: ThirdKind = carlson) -> Rotation:
     """Return the rotation-matrix flow of free bodies with moments of inertia (3, 1) or (3, N) in any order.
 
     `third_kind` evaluates the elliptic integral: `euler.carlson`, or a result of `euler.gauss`.

@@ -16,7 +16,7 @@ from openmm_exactrb.steps.sequence import Sequence as Substeps
 from openmm_exactrb.steps.sequence import inverse, palindromic
 from openmm_exactrb.steps.substeps import DRIFT, KICK, GradientKick, LastForcesKick, Substep
 
-Kind = Literal["general", "nystroem"]
+Validity = Literal["general", "nystroem"]
 Outer = Literal["drift", "kick"]
 
 
@@ -58,7 +58,7 @@ class Scheme:
     name: str
     order: int
     sequence: Substeps
-    kind: Kind = "general"
+    kind: Validity = "general"
     reference: str = ""
     generalised: tuple[int, ...] = ()
     processor: Substeps = ()
@@ -195,7 +195,7 @@ def symmetric(
     first: Outer,
     a: Sequence[float] = (),
     b: Sequence[float] = (),
-    kind: Kind = "general",
+    kind: Validity = "general",
     reference: str = "",
     generalised: tuple[int, ...] = (),
 ) -> Scheme:

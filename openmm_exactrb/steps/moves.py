@@ -12,7 +12,7 @@ from openmm_exactrb.steps import constants
 from openmm_exactrb.support.descriptions import mismatch
 
 #: exchange(tau) -> the numbers that kernels need for a heat exchange over tau (ps).
-Exchange = Callable[[float], tuple[float, ...]]
+ExchangeNumbers = Callable[[float], tuple[float, ...]]
 
 
 #: Pattern of a move's function in a user's source text; the group is the name of the function.
@@ -73,7 +73,7 @@ class Move:
         """Whether the move changes positions."""
         return self.op in (Op.DRIFT, Op.DISPLACE) or self.op >= Op.OWN
 
-    def numbers(self, h: float, exchange: Exchange | None) -> tuple[float, ...]:
+    def numbers(self, h: float, exchange: ExchangeNumbers | None) -> tuple[float, ...]:
         """Return the numbers that a kernel uses for the move if the step size is h (ps)."""
         tau = self.part * h
         if self.op == Op.EXCHANGE:

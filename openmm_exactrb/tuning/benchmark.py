@@ -111,7 +111,7 @@ def schemes_named(names: str | Scheme | Sequence[str | Scheme]) -> list[Scheme]:
     return list(known.values())
 
 
-class Energies(NamedTuple):
+class RunEnergies(NamedTuple):
     """The total energies of a run, and its cost."""
 
     #: In kJ/mol per body, at equal intervals of time.
@@ -230,7 +230,7 @@ class Benchmark:
             self._under_test[method.name] = made
         return self._under_test[method.name]
 
-    def run(self, method: Method, step: float, duration: float, start: InitialState) -> Energies | None:
+    def run(self, method: Method, step: float, duration: float, start: InitialState) -> RunEnergies | None:
         """Run a method for a duration, both in ps.
 
         Return None if the run diverges, the energy changes by a tenth of the kinetic energy or more, or OpenMM's
@@ -251,7 +251,9 @@ class Benchmark:
             if tested.timings.evaluations >= _FEWEST_SAMPLES:  # fewer would measure mainly the cost of starting a run
                 self.processor = (time.process_time() - begun) / tested.timings.evaluations
 
-    def _energies(self, tested: SchemeUnderTest, step: float, duration: float, start: InitialState) -> Energies | None:
+    def _energies(
+        self, tested: SchemeUnderTest, step: float, duration: float, start: InitialState
+    ) -> RunEnergies | None:
         n_bodies, kinetic, *_ = self.characteristics
         every = max(1, round(duration / _SAMPLES / step))
         values: list[float] = []
@@ -265,4 +267,4 @@ class Benchmark:
                 return None
         timings = tested.timings
         seconds, nested = timings.total / timings.evaluations, timings.fast_evaluations / timings.evaluations
-        return Energies(np.array(values), every * step, seconds, nested)
+        return RunEnergies(np.array(values), every * step, seconds, nested)

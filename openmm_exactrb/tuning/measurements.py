@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from openmm_exactrb.errors import BudgetSpentError
-from openmm_exactrb.tuning.benchmark import STARTS, VERLET, Benchmark, Energies, Method
+from openmm_exactrb.tuning.benchmark import STARTS, VERLET, Benchmark, Method, RunEnergies
 from openmm_exactrb.tuning.error import expected_error
 
 Report = Callable[[str], None]
@@ -121,7 +121,7 @@ class Measurements:
         starts = f" over {self.horizon:.3g} ps from {len(errors) - 1} of {STARTS} starts"
         return self._kept(Point(name, step, max(errors) * margin, math.nan, self.horizon), starts)
 
-    def _run(self, method: Method, step: float, duration: float, start: int) -> Energies | None:
+    def _run(self, method: Method, step: float, duration: float, start: int) -> RunEnergies | None:
         state = self.benchmark.starts[start] if start else self.benchmark.state
         run = self.benchmark.run(method, step, duration, state)
         if run is not None:

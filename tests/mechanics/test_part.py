@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import openmm_exactrb as rb
-from openmm_exactrb.mechanics.bodies import Part
+from openmm_exactrb.mechanics.bodies import ChosenBodies
 from openmm_exactrb.mechanics.free_motion import free_motion
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.multiple_time_steps.excerpt import bonded_excerpt
@@ -46,7 +46,7 @@ def test_bodies_that_turn_are_parts_too(droplet):
     particles = np.flatnonzero(chosen[bodies.owner])
     number = np.full(bodies.n_particles, -1)
     number[particles] = np.arange(len(particles))
-    part = Part(bodies.chosen(chosen, number, len(particles)), chosen)
+    part = ChosenBodies(bodies.chosen(chosen, number, len(particles)), chosen)
     assert part.bodies.n_turning == len(part.bodies) == chosen.sum()
     own = kinetic_of(part.bodies).drift(part.of(state), 0.01)
     everything = kinetic_of(bodies).drift(state, 0.01)

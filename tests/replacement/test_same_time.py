@@ -10,7 +10,7 @@ from hypothesis import strategies as some
 from openmm import app, unit
 
 import openmm_exactrb as rb
-from openmm_exactrb.replacement.clock import Clock
+from openmm_exactrb.replacement.clock import SharedClock
 from peptides import in_box
 from places import CPU, REFERENCE
 from starts import simulation_of
@@ -215,7 +215,7 @@ def test_a_barostat_that_is_added_later_is_divided_too():
 )
 def test_parts_of_steps_amount_to_whole_steps(ratio, parts):
     """Whatever the parts are in which a Simulation asks for steps."""
-    clock, made = Clock(0.001, 0.001 * float(ratio)), 0
+    clock, made = SharedClock(0.001, 0.001 * float(ratio)), 0
     assert clock.ratio == ratio
     with clock.divided():
         for n, part in enumerate(parts, 1):

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from openmm_exactrb.engines.native.program import Program
-from openmm_exactrb.steps.moves import Exchange, Move, Op, of_substep
+from openmm_exactrb.steps.moves import ExchangeNumbers, Move, Op, of_substep
 from openmm_exactrb.support.types import Array
 
 Rows = Iterable[tuple[object, float]]
@@ -259,7 +259,7 @@ class Table:
             self._moves += moves
         return self._places[moves], len(moves)
 
-    def values(self, h: float, exchange: Exchange | None) -> tuple[NDArray[np.int32], Array]:
+    def values(self, h: float, exchange: ExchangeNumbers | None) -> tuple[NDArray[np.int32], Array]:
         """Return the arrays for the step size h (ps), where exchange(tau) returns the numbers of a heat exchange."""
         numbers = [move.numbers(h, exchange) for move in self._moves]
         starts = np.cumsum([0, *map(len, numbers)])

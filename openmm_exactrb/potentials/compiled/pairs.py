@@ -16,8 +16,8 @@ from openmm_exactrb.potentials.compiled.ewald import number_of_waves, reciprocal
 from openmm_exactrb.potentials.compiled.pair import pair
 from openmm_exactrb.support.types import Array
 
-Truncation = tuple[float, float, float, float, float, float, float, float, float, float]
-Ewald = tuple[float, float, float] | tuple[float, mesh.Edges, int, float]
+Switch = tuple[float, float, float, float, float, float, float, float, float, float]
+EwaldNumbers = tuple[float, float, float] | tuple[float, mesh.Edges, int, float]
 
 # The largest work, in the units of `_work`, that a single thread performs. With an Ewald sum, a pair costs as much as
 # ten waves of a dipole, and three times as much as without screening.
@@ -28,11 +28,11 @@ def soft_dipoles(
     x: Array,
     repulsion: float,
     coupling: float,
-    truncation: Truncation | None = None,
+    truncation: Switch | None = None,
     threads: int | None = None,
     attraction: float = 0.0,
     minimum: tuple[float, float] | None = None,
-    ewald: Ewald | None = None,
+    ewald: EwaldNumbers | None = None,
 ) -> tuple[float, Array]:
     """Return the energy and the forces of `potentials.SoftDipoles`, whose `energy_and_forces` describes x and threads.
 
@@ -69,13 +69,13 @@ def soft_dipoles(
     return energy, forces
 
 
-def _work(n: int, truncation: Truncation | None, ewald: Ewald | None) -> float:
+def _work(n: int, truncation: Switch | None, ewald: EwaldNumbers | None) -> float:
     """Return the work in units of the work for a pair."""
     waves = number_of_waves(truncation[:3], ewald[1]) if truncation and ewald and len(ewald) == 3 else 0.0
     return n * (n + waves / 10)
 
 
-def _images(arrows: Array, n: int, edges: mesh.Edges, ewald: Ewald, threads: int) -> tuple[float, Array, Array]:
+def _images(arrows: Array, n: int, edges: mesh.Edges, ewald: EwaldNumbers, threads: int) -> tuple[float, Array, Array]:
     """Return the energy, forces and fields (3, n) of the sum in reciprocal space, divided by the coupling."""
     if len(ewald) == 3:
         alpha, k_max, dielectric = ewald
