@@ -151,7 +151,8 @@ def _of_this_package(simulation: Any, frictions: tuple[float, ...]) -> Dynamics:
         fast = None
     if fast is not None and not integrator._up_to_date().defers_inner_drifts:  # noqa: SLF001
         raise ValueError(
-            "averages cannot be corrected with fast forces for which the native engine has no kernel: use engine='host'"
+            "averages cannot be corrected with these fast forces, for which the engine "
+            f"{integrator.getEngine()!r} has no kernel: use engine='host'"
         )
     return Dynamics(
         scheme=integrator.getScheme().name,

@@ -143,7 +143,7 @@ class BathAccess(BodyAccess):
         Raises
         ------
         ValueError
-            If the native engine lets OpenMM evaluate fast forces in a drift after the last heat exchange.
+            If the engine cannot compute this energy, as with fast forces of OpenMM in a drift after the exchange.
         """
         thermostat = self._thermostat
         energy = self._up_to_date().energy_at_exchange(self._version, self._settings) * _ENERGY
