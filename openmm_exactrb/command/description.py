@@ -17,7 +17,7 @@ from openmm.app.internal.unitcell import computeLengthsAndAngles
 from openmm_exactrb.context.solver import mended
 from openmm_exactrb.context.updates import names_of_updates
 from openmm_exactrb.detection.find import find_bodies
-from openmm_exactrb.integrators.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.integrators.integrator import DEFAULT, ExactRigidBodyIntegrator
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
 from openmm_exactrb.multiple_time_steps import virtual_sites
 from openmm_exactrb.multiple_time_steps.fast_forces import MultipleTimeSteps, fast_forces
@@ -32,6 +32,9 @@ from openmm_exactrb.tuning.floor import causes
 _SHOWN = 3  # largest number of periods that are printed
 _WATER = 18.015  # mass of a water molecule in amu
 _LIGHTEST = 2.9  # mass in amu above which hydrogens are heavy enough for a force evaluation every 8 fs
+_STABLE = (
+    1.6  # step times frequency of an isolated bond, above which OpenMM's integrators are unstable: 2 if not coupled
+)
 _THEIRS = "openmm.LangevinMiddleIntegrator(300*kelvin, 5/picosecond, {}*femtoseconds)"
 
 #: The schemes for proteins in water at constant temperature: the default, and one with the temperatures of water.
@@ -218,12 +221,13 @@ def _of_proteins(system: openmm.System, masses: Array) -> Iterator[str]:
         resonance = resonances.first(splitting(name))
         return asked if resonance is None else min(asked, 1000.0 * resonance.below(splitting(name)))
 
-    plain, watery = within(PROTEIN), within(PROTEIN_AND_WATER)
-    yield f"constant energy: {_at_constant_energy(4.0, 'W2_1')}"
-    yield f"constant temperature: {_with_thermostat(plain) if heavy or plain < asked else _THEIRS.format(4)}"
-    precise = _with_thermostat(watery, PROTEIN_AND_WATER)
-    yield f"constant temperature, with correct temperatures in reports: {precise}"
+    fastest = max((float(some.max()) for some, _ in frequencies(system, masses=masses) if len(some)), default=0.0)
+    without_inner_steps = not heavy and 1e-3 * asked * fastest < _STABLE
+    yield f"constant energy: {_at_constant_energy(4.0, DEFAULT)}"
+    yield f"constant temperature: {_THEIRS.format(4) if without_inner_steps else _with_thermostat(within(PROTEIN))}"
     if heavy:
+        precise = _with_thermostat(within(PROTEIN_AND_WATER), PROTEIN_AND_WATER)
+        yield f"constant temperature, with correct temperatures of water in reports: {precise}"
         yield f"as fast, but hotter in reports, with constraints=AllBonds: {_THEIRS.format(8)}"
     else:
         yield (
@@ -234,11 +238,16 @@ def _of_proteins(system: openmm.System, masses: Array) -> Iterator[str]:
 
 def _at_constant_energy(interval: float, scheme: str) -> str:
     """Return the call that creates an integrator, for a time in fs between two force evaluations."""
-    return f'rb.ExactRigidBodyIntegrator(forceInterval={interval:g}*femtoseconds, scheme="{scheme}")'
+    return f"rb.ExactRigidBodyIntegrator({_pace(interval, scheme, DEFAULT)})"
 
 
 def _with_thermostat(interval: float, scheme: str = PROTEIN) -> str:
     """Return the same at constant temperature."""
-    default = scheme == Langevin.scheme
-    time = f"{interval:g}*femtoseconds" if default else f'forceInterval={interval:g}*femtoseconds, scheme="{scheme}"'
-    return f"rb.ExactRigidBodyLangevinIntegrator(300*kelvin, 5/picosecond, {time})"
+    pace = _pace(interval, scheme, Langevin.scheme)
+    return f"rb.ExactRigidBodyLangevinIntegrator(300*kelvin, 5/picosecond, {pace})"
+
+
+def _pace(interval: float, scheme: str, default: str) -> str:
+    if scheme == default:
+        return f"{interval:g}*femtoseconds"
+    return f'forceInterval={interval:g}*femtoseconds, scheme="{scheme}"'

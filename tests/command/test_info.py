@@ -17,6 +17,7 @@ from peptides import in_water
 from starts import context_of
 
 DATA = Path(__file__).parent.parent / "data"
+ROOT = Path(__file__).parents[2]
 
 TOP = """[ defaults ]
 1 2 no 1.0 1.0
@@ -129,7 +130,7 @@ def test_a_peptide_in_water_gets_its_bonded_forces_nested_and_its_periods_named(
     assert f"{2000 * np.pi * np.sqrt(reduced / k):.3g} fs (bond of C 4, O 5)" in periods
     assert any("3 clusters of 4 particles (ACE, ALA, NME): 9 degrees of freedom" in line for line in lines)
     (energy,) = (line for line in lines if line.startswith("constant energy"))
-    assert energy.endswith('(forceInterval=4*femtoseconds, scheme="W2_1")')
+    assert energy.endswith("rb.ExactRigidBodyIntegrator(4*femtoseconds)")
 
 
 CONSTANT_TEMPERATURE = re.compile(
@@ -149,7 +150,8 @@ def test_the_intervals_at_constant_temperature_are_those_that_no_warning_follows
     lines = list(described(system, openmm.unit.Quantity(positions, openmm.unit.nanometer), topology))
     found = [CONSTANT_TEMPERATURE.search(line) for line in lines if line.startswith("constant temperature")]
     calls = [(float(call[1]), call[2] or PROTEIN) for call in found if call]
-    assert PROTEIN_AND_WATER in dict(map(reversed, calls))
+    assert (PROTEIN_AND_WATER in dict(map(reversed, calls))) == (mass is not None)
+    assert bool(calls) == (mass is not None or constraints == "None")
     for interval, scheme in calls:
         assert interval <= longest
         assert constraints == "None" or interval == longest
@@ -172,6 +174,22 @@ def test_openmm_at_the_same_cost_is_named_for_a_protein(mass, theirs, hint):
     assert hint in lines
     assert ("--hydrogen-mass" in lines) == (mass is None)
     assert "rb.ExactRigidBodyLangevinIntegrator(300*kelvin, 5/picosecond, 8*femtoseconds)" in lines
+
+
+def test_calls_that_are_printed_stand_on_the_page_of_recommendations(droplet, capsys):
+    lines = said(capsys, droplet, "--forcefield", "tip4pew.xml")
+    for mass in (None, 3.0):
+        topology, system, positions = in_water("HBonds")
+        if mass is not None:
+            rb.heavy_hydrogens(system, topology, mass)
+        lines += "\n".join(described(system, openmm.unit.Quantity(positions, openmm.unit.nanometer), topology))
+    page = re.sub(r"\s", "", (ROOT / "docs" / "which.md").read_text(encoding="utf-8"))
+    calls = re.findall(r"(?:rb|openmm)\.(\w+Integrator)\((?:300\*kelvin, 5/picosecond, )?([^)]*)\)", lines)
+    assert len(set(calls)) == 7
+    for name, settings in calls:  # the page has whole calls, settings with a scheme, or OpenMM's integrators at a step
+        whole, short = settings.replace(" ", ""), settings.replace("*femtoseconds", "fs")
+        forms = f"{name}({whole})", f"{name}(300*kelvin,5/picosecond,{whole})", f"{name}({short})"
+        assert any(form in page for form in (*forms, *([whole] if "scheme" in whole else []))), (name, settings)
 
 
 def pairs_of(n, longer):
