@@ -30,7 +30,7 @@ _STREAMS = 2**22  # a seed and a stream fit into the 53 bits of an OpenMM variab
 
 
 class Factors(NamedTuple):
-    """The kernel that computes the two factors of a heat exchange, a function in kernels/thermostats.cl.
+    """The kernel that computes the two factors of a heat exchange, a function in thermostats.cl.
 
     The record contains the name of the kernel and its preprocessor definitions. Its persistent variables are those of
     ``Thermostat.persistent``.

@@ -5,6 +5,9 @@
 #define FACTORS GLOBAL const double* totals, GLOBAL double* factors, GLOBAL double* own, GLOBAL const int* moves, \
     GLOBAL const double* numbers, int row, mm_long step, double key
 
+// All kernels below, from which those for processors are found by their names.
+#define EACH_THERMOSTAT(OF) OF(rescaling) OF(nose_hoover)
+
 #ifdef RESCALING
 // Draw a gamma variate, as openmm_exactrb.random.rng does: G. Marsaglia and W. W. Tsang (2000),
 // doi:10.1145/358407.358414.

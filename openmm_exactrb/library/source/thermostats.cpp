@@ -26,10 +26,8 @@ struct Thermostats : Thread {
 #include "thermostats/thermostats.cl"
 
     static Function function(KernelsOf<Thermostats>& of, const std::string& name) {
-        if (name == "rescaling")
-            return of.alone(&Thermostats::rescaling);
-        if (name == "nose_hoover")
-            return of.alone(&Thermostats::nose_hoover);
+#define NAMED(kernel) if (name == #kernel) return of.alone(&Thermostats::kernel);
+        EACH_THERMOSTAT(NAMED)
         return Function();
     }
 };
