@@ -12,12 +12,12 @@ run: $(VENV)/.run
 	$(BIN)/python examples/dipole_fluid.py --compare --overwrite $(ARGS)
 
 test: $(VENV)/.test
-	$(BIN)/python -m pytest -n auto $(ARGS)
+	$(BIN)/python -m pytest -n auto --dist worksteal $(ARGS)
 
 # Writes htmlcov/index.html: the lines of Python that the tests execute.
 coverage: $(VENV)/.test
 	$(BIN)/python -m pip install --quiet --editable ".[coverage]"
-	$(BIN)/python -m pytest -n auto --cov --cov-report=html --cov-report=term:skip-covered $(ARGS)
+	$(BIN)/python -m pytest -n auto --dist worksteal --cov --cov-report=html --cov-report=term:skip-covered $(ARGS)
 
 # Compiles all kernels for CUDA, without a GPU.
 cuda-check: $(VENV)/.test
@@ -30,7 +30,7 @@ library-check: $(VENV)/.test
 		tests/engines/test_installations.py::test_clang_compiles_the_library $(ARGS)
 
 lowest: $(LOWEST)/.test
-	$(LOWEST)/bin/python -m pytest -n auto -W ignore::DeprecationWarning $(ARGS)
+	$(LOWEST)/bin/python -m pytest -n auto --dist worksteal -W ignore::DeprecationWarning $(ARGS)
 
 lint: $(VENV)/.lint
 	$(BIN)/ruff check
@@ -54,7 +54,7 @@ linkcheck: $(VENV)/.docs
 	$(BIN)/python -m sphinx --quiet -D plot_gallery=0 -b linkcheck docs docs/_build/linkcheck
 
 validate: $(VENV)/.validation
-	$(BIN)/python -m pytest -n auto --validate $(ARGS)
+	$(BIN)/python -m pytest -n auto --dist worksteal --validate $(ARGS)
 
 benchmarks: $(VENV)/.test
 	$(BIN)/python benchmarks/cost/dipole_cost.py

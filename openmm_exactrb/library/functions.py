@@ -26,10 +26,11 @@ def call(name: str, *arguments: Any) -> int:
     Arguments are C-contiguous arrays, integers (int), numbers (double) and text. The function writes its results into
     arrays.
     """
-    return int(getattr(library().exported, f"pi_{name}")(*map(_passed, arguments)))
+    return int(getattr(library().exported, f"pi_{name}")(*map(passed, arguments)))
 
 
-def _passed(argument: Any) -> Any:
+def passed(argument: Any) -> Any:
+    """Return an argument as C takes it."""
     if isinstance(argument, np.ndarray):
         assert argument.flags.c_contiguous
         return ctypes.c_void_p(argument.ctypes.data)

@@ -217,13 +217,9 @@ class Stockmayer:
         return weights @ np.expm1(-self.energy(*places.T, whole=whole) / self.kT)
 
 
+@pytest.mark.validate
 @pytest.mark.parametrize(
-    ("mu2", "temperature", "kernel"),
-    [
-        (0.2, 220.0, "compiled"),
-        pytest.param(0.25, 190.0, "bonds", marks=pytest.mark.validate),
-        pytest.param(0.3, 160.0, "openmm", marks=pytest.mark.validate),
-    ],
+    ("mu2", "temperature", "kernel"), [(0.2, 220.0, "compiled"), (0.25, 190.0, "bonds"), (0.3, 160.0, "openmm")]
 )
 def test_two_stockmayer_particles_have_their_second_virial_coefficient(mu2, temperature, kernel, tmp_path):
     """The average pressure over all places and directions is the derivative of the partition function.

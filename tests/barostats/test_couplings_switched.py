@@ -8,24 +8,15 @@ import pytest
 from openmm import unit
 
 import openmm_exactrb as rb
+from four_barostats import barostats
 from openmm_exactrb.context.updates import acting_updates, names_of_updates
 from openmm_exactrb.thermostats import HybridMonteCarlo, Langevin
 from places import HOST_AND_NATIVE, platform_for
-from products import in_pairs, spread_over
+from products import spread_over
 
 BAR, KELVIN = unit.bar, unit.kelvin
-MEMBRANE = openmm.MonteCarloMembraneBarostat
 #: At 280 K, where the integrators have 300 K.
-BAROSTATS = {
-    "isotropic": lambda n: openmm.MonteCarloBarostat(1 * BAR, 280 * KELVIN, n),
-    "anisotropic": lambda n: openmm.MonteCarloAnisotropicBarostat(
-        openmm.Vec3(1, 1, 1) * BAR, 280 * KELVIN, True, False, True, n
-    ),
-    "membrane": lambda n: MEMBRANE(
-        1 * BAR, 0 * BAR * unit.nanometer, 280 * KELVIN, MEMBRANE.XYIsotropic, MEMBRANE.ZFree, n
-    ),
-    "flexible": lambda n: openmm.MonteCarloFlexibleBarostat(1 * BAR, 280 * KELVIN, n),
-}
+BAROSTATS = barostats(280, axes=(True, False, True))
 #: A barostat that scales no axis, whatever its frequency.
 WITHOUT_AXES = {
     "without axes": lambda n: openmm.MonteCarloAnisotropicBarostat(
@@ -100,7 +91,7 @@ def switched_off_by(way):
 WAYS = "constructor", "setter before", "setter in the System", "reinitialize"
 
 
-@spread_over({"name": BAROSTATS | WITHOUT_AXES, "way": WAYS, "engine": HOST_AND_NATIVE}, times=2)
+@spread_over({"name": BAROSTATS | WITHOUT_AXES, "way": WAYS, "engine": HOST_AND_NATIVE})
 def test_a_barostat_that_never_acts_may_have_any_temperature(name, way, engine):
     made, later = switched_off_by(way)
     found = []
@@ -122,7 +113,6 @@ def test_a_barostat_that_never_acts_may_have_any_temperature(name, way, engine):
         "way": ["constructor", "default", "parameter"],
         "engine": HOST_AND_NATIVE,
     },
-    times=2,
 )
 def test_a_thermostat_without_collisions_is_no_second_thermostat(make, way, engine):
     force = openmm.AndersenThermostat(280.0, 0.0 if way == "constructor" else 5.0)
@@ -293,12 +283,13 @@ def fractions(context):
 SEQUENCE = (0, 7), (5, 23), (2, 7), (9, 40), (0, 3), (40, 33), (3, 20), (0, 11), (4, 6), (0, 1), (2, 5)
 
 
-@in_pairs(
+@spread_over(
     {
         "scheme": ["S2_2", "W2_1", "BAOA", "W2_3m"],
         "others": ["nothing", "remover", "thermostat"],
         "engine": HOST_AND_NATIVE,
-    }
+    },
+    times=2,
 )
 def test_molecules_follow_the_box_whenever_the_frequency_changes(others, scheme, engine):
     """In so short steps that only the barostat moves molecules, by the edges of the box."""

@@ -212,6 +212,7 @@ def test_the_pages_are_rewritten_from_what_is_stored(quick, tmp_path):
     assert data == {file: file.stat().st_mtime_ns for file in data}
 
 
+@pytest.mark.validate
 def test_the_reference_has_thirty_digits():
     inertia, m = oracle.random_bodies("generic", 2, seed=2)
     q, m1 = reference.taylor(inertia.T, m.T, 3.0)

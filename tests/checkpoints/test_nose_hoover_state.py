@@ -5,7 +5,8 @@ import pytest
 
 import openmm_exactrb as rb
 from chains import H, nose_hoover
-from thermostatted import droplet_of, load, saved, snapshot
+from starts import droplet_of
+from thermostatted import load, saved, snapshot
 
 
 def test_chains_outlive_a_reinitialisation():

@@ -9,8 +9,7 @@ from test_states import OURS, THEIRS, water
 import openmm_exactrb as rb
 from chains import nose_hoover
 from refusals import assert_refused, refused
-from starts import simulation_of
-from thermostatted import droplet_of
+from starts import droplet_of, simulation_of
 
 ANOTHER = "is from another kind of integrator"
 

@@ -4,7 +4,8 @@ import pytest
 
 import openmm_exactrb as rb
 from openmm_exactrb.context import variables
-from thermostatted import droplet_of, snapshot
+from starts import droplet_of
+from thermostatted import snapshot
 
 
 @pytest.mark.parametrize("after", ["S2_2", "W2_1", "V2_C17", "W4_4"])

@@ -203,7 +203,7 @@ def test_constant_pressure_moves_the_box(box, tmp_path, capsys):
     assert 1 < len(set(volume)) <= 1 + 100 // 25  # an attempt every 25 steps
 
 
-@pytest.mark.parametrize(("moving", "warmth"), [(False, 280), (True, 400)])
+@pytest.mark.parametrize(("moving", "warmth"), [(False, 400), pytest.param(True, 280, marks=pytest.mark.validate)])
 def test_a_state_does_not_bring_the_pressure_that_it_was_saved_at(box, tmp_path, capsys, moving, warmth):
     """It has that of a barostat which is out of the System since, and the temperature of that too."""
     _, system, state, files = box

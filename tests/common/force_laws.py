@@ -11,7 +11,7 @@ import starts
 from openmm_exactrb.openmm_access import arrays
 
 
-def context_of(system, positions):
+def resting(system, positions):
     """Return a Context of a System on the Reference platform, with these positions (nm)."""
     return starts.context_of(system, openmm.VerletIntegrator(0.001), positions)
 
@@ -24,7 +24,7 @@ def of_free_particles(force, positions, box=None):
     system.addForce(copy.deepcopy(force))
     if box is not None:
         system.setDefaultPeriodicBoxVectors(*np.diag(box))
-    return context_of(system, positions)
+    return resting(system, positions)
 
 
 def evaluated(context):

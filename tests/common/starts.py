@@ -65,6 +65,12 @@ def simulation_of(
     return simulation
 
 
+def droplet_of(integrator, n=4, trap=0.5, platform=REFERENCE):
+    """Return a Simulation of some dipoles in a trap, at 30 K."""
+    topology, system, positions = rb.dipole_fluid(n, seed=1, trap=trap)
+    return simulation_of(topology, system, integrator, positions, kelvin=30.0, seed=2, platform=platform)
+
+
 def warm(topology, system, positions, h=0.002, scheme="S2_2", platform=REFERENCE, **options):
     """Return a Simulation of our integrator, minimised and at 300 K."""
     integrator = rb.ExactRigidBodyIntegrator(h, scheme=scheme, **options)

@@ -65,12 +65,6 @@ def simulation_of(integrator, system, places):
     return starts.simulation_of(None, system, integrator, places)
 
 
-def droplet_of(integrator, n=4):
-    """Return a Simulation of some dipoles in a trap, at 30 K."""
-    topology, system, positions = rb.dipole_fluid(n, seed=1, trap=0.5)
-    return starts.simulation_of(topology, system, integrator, positions, kelvin=30.0, seed=2)
-
-
 def snapshot(simulation):
     """Return positions and velocities as bytes: all of their bits."""
     state = simulation.context.getState(positions=True, velocities=True)

@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 import openmm_exactrb as rb
 import starts
 from few_dipoles import simulation_of
-from force_laws import context_of, evaluated
+from force_laws import evaluated, resting
 from openmm_exactrb.context.forces import ContextForces, Positions
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.mechanics.state import State
@@ -70,7 +70,7 @@ class Look(Substep):
 def anew(context, bodies, state):
     """Return forces and torques in a Context that knows nothing of what was in another one."""
     x = bodies.positions(state.rounded, np.zeros((bodies.n_particles, 3)))
-    fresh = context_of(context.getSystem(), x)
+    fresh = resting(context.getSystem(), x)
     fresh.setPeriodicBoxVectors(*context.getState().getPeriodicBoxVectors())
     return bodies.forces(state.rounded, evaluated(fresh)[1])
 

@@ -48,7 +48,8 @@ CASES = [
 ]
 
 
-@spread_over({"scheme, h, constraints, fast": CASES, "where": WHERE}, indirect=["where"])
+# Kernels of a device are compiled for each Context.
+@spread_over({"scheme, h, constraints, fast": CASES, "where": [*WHERE, "Reference"]}, indirect=["where"])
 def test_a_peptide_in_water_moves_as_on_the_host(scheme, h, constraints, fast, where):
     device = assert_as_on_host(in_water(constraints, 30), nested(scheme, h, fast=fast), where)
     if constraints != "None":
@@ -75,7 +76,10 @@ def test_blocks_with_terms_in_common_are_displaced_as_one(scheme, monkeypatch):
 
 @pytest.mark.filterwarnings("ignore:the native engine has no kernel for")
 @spread_over(
-    {"scheme, constraints": [("Chin4A", "HBonds"), ("Chin4B", "AllBonds"), ("W4_4", "HAngles")], "where": WHERE},
+    {
+        "scheme, constraints": [("Chin4A", "HBonds"), ("Chin4B", "AllBonds"), ("W4_4", "HAngles")],
+        "where": [*WHERE, "Reference"],
+    },
     indirect=["where"],
 )
 def test_displaced_forces_are_slow_forces_where_openmm_evaluates_the_fast_ones(scheme, constraints, where):

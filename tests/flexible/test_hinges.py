@@ -8,7 +8,7 @@ import openmm_exactrb as rb
 from benchmarks.constraints import martini, martini_rings
 from starts import context_of, system_of
 
-pytestmark = pytest.mark.usefixtures("every_engine")
+EVERY_ENGINE = pytest.mark.usefixtures("every_engine")
 
 SIDE, SPEED = 0.2, 2.0
 
@@ -29,7 +29,8 @@ def test_the_levels_of_martini_are_those_of_its_paper():
     np.testing.assert_array_equal(strength, strength.T)
 
 
-@pytest.mark.parametrize("step", [0.02, 0.03])
+@EVERY_ENGINE
+@pytest.mark.parametrize("step", [pytest.param(0.02, marks=pytest.mark.validate), 0.03])
 def test_cholesterol_in_a_small_membrane_keeps_its_constraints(step):
     topology, system, positions = martini.bilayer({"DPPC": 0.5, "CHOL": 0.5}, per_side=3, water=3.0)
     names = np.array([atom.residue.name for atom in topology.atoms()])
@@ -82,6 +83,7 @@ def test_a_minimiser_that_loses_the_constraints_of_cholesterol_is_an_error():
     integrator.step(0)
 
 
+@EVERY_ENGINE
 def test_a_hinge_passes_180_degrees_and_keeps_its_energy():
     """The four beads of cholesterol, thrown through the plane of both triangles."""
     molecule = martini_rings.MOLECULES["cholesterol"]
@@ -126,6 +128,7 @@ def folding(angle, h):
     return context, integrator
 
 
+@EVERY_ENGINE
 def test_a_linkage_folds_at_a_constant_rate_until_close_to_its_singular_place():
     context, integrator = folding(0.3, 0.01)
     integrator.step(10)
@@ -134,6 +137,7 @@ def test_a_linkage_folds_at_a_constant_rate_until_close_to_its_singular_place():
     np.testing.assert_allclose(x[1], [0.0, SIDE * np.sin(0.1), 0.0], rtol=0.0, atol=1e-16)
 
 
+@EVERY_ENGINE
 @pytest.mark.parametrize(("angle", "h"), [(0.3, 0.02), (0.3, 0.05), (0.305, 0.05), (0.3, 0.3), (1e-3, 0.002)])
 def test_a_step_onto_or_over_a_singular_place_is_an_error_and_leaves_the_state_before_it(angle, h):
     context, integrator = folding(angle, h)

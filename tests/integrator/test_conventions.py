@@ -87,12 +87,12 @@ def anything(request):
 
 
 def pytest_generate_tests(metafunc):
-    """Run each kind on two processors, and two on a device, where Contexts take long; they change from test to test."""
+    """Run each kind on a processor, and one on a device, where Contexts take long; they change from test to test."""
     if "run" in metafunc.fixturenames:
         number = list(vars(metafunc.module)).index(metafunc.function.__name__)
         device = pytest.param("OpenCL", "native", marks=pytest.mark.opencl)
-        some = [ON_DEVICES[(2 * number + k) % len(ON_DEVICES)] for k in range(2)]
-        rows = [*spread(KINDS, PROCESSORS, times=2, offset=number), *spread(some, [device])]
+        one = [ON_DEVICES[number % len(ON_DEVICES)]]
+        rows = [*spread(KINDS, PROCESSORS, offset=number), *spread(one, [device])]
         metafunc.parametrize(("kind", "where", "engine"), rows)
 
 

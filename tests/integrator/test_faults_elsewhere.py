@@ -88,7 +88,7 @@ def test_conserved_energies_stay_beside_fixed_molecules(make):
         integrator.setVelocitiesToTemperature(200.0, 1)
         read = integrator.effectiveEnergy
         energies = []
-        for _ in range(20):
+        for _ in range(10):
             integrator.step(round(0.01 / h))
             energies.append(read()._value)
         deviations.append(np.std(energies))

@@ -267,7 +267,7 @@ def test_schemes_with_a_heat_exchange_take_fewer_inner_steps_and_keep_the_length
 
 
 @pytest.mark.filterwarnings("ignore::openmm_exactrb.StepSizeWarning")  # before it ends
-@pytest.mark.parametrize(("h", "scheme"), [(4.0, "S2_2"), (3.5, "V2"), (8.0, "SRKN4_6b"), (1.0, "W2_1")])
+@pytest.mark.parametrize(("h", "scheme"), [(4.0, "S2_2"), (1.0, "W2_1")])
 def test_femtoseconds_without_their_unit_end_at_once(h, scheme):
     """Thousands of inner steps would be made before an outer kick looks at what they did."""
     _, system, x = peptide()

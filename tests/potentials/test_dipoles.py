@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import openmm_exactrb as rb
-from force_laws import assert_lawful, context_of, energy_and_forces, evaluated, slope
+from force_laws import assert_lawful, energy_and_forces, evaluated, resting, slope
 from openmm_exactrb.potentials import SoftDipoles
 from soft_dipoles import FIELD, PARAMETERS, arrows, assert_same, fluid, truncated
 from starts import masses_of, positions_of
@@ -211,7 +211,7 @@ def test_a_system_survives_xml_copy_and_pickle(options):
         copy.deepcopy(system),
         pickle.loads(pickle.dumps(system)),
     ):
-        assert_same(evaluated(context), evaluated(context_of(again, positions_of(context))), 1e-16)
+        assert_same(evaluated(context), evaluated(resting(again, positions_of(context))), 1e-16)
 
 
 def test_a_system_that_an_older_package_wrote_is_read_and_written_the_same():
@@ -223,7 +223,7 @@ def test_a_system_that_an_older_package_wrote_is_read_and_written_the_same():
     )
     boundary, edges = rb.Ewald(dielectric=4.0), 3 * (4.0 ** (1.0 / 3.0),)
     _, _, positions = rb.dipole_fluid(2, boundary=boundary, density=0.5)
-    context = context_of(system, positions)
+    context = resting(system, positions)
     sites = positions_of(context).reshape(2, -1, 3)[:, -2:].reshape(-1, 3)
     dipoles = SoftDipoles(boundary.truncation(edges, 2), boundary.images(2, edges), wca=True)
     energy, _ = dipoles.energy_and_forces(sites, dict(context.getParameters()), np.diag(edges))

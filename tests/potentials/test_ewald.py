@@ -8,7 +8,7 @@ from openmm import unit
 
 import openmm_exactrb as rb
 import starts
-from force_laws import context_of, evaluated
+from force_laws import evaluated, resting
 from openmm_exactrb.potentials import SoftDipoles
 from plain_ewald import dipole_ewald
 from soft_dipoles import arrows, assert_same, dipoles_alone, fluid, liquid, sites_of
@@ -108,7 +108,7 @@ def amoeba_energy(R, mu, box):
         force.addMultipole(0.0, [0, 0, 0], [0] * 9, force.NoAxisType, -1, -1, -1, 0.39, 0.0, 0.0)
     system.addForce(force)
     system.setDefaultPeriodicBoxVectors(*(box * np.eye(3)))
-    return evaluated(context_of(system, sites_of(R, 0.1 * mu)))[0]
+    return evaluated(resting(system, sites_of(R, 0.1 * mu)))[0]
 
 
 def test_the_plain_sum_is_right():
@@ -241,7 +241,7 @@ def test_a_barostat_changes_the_box_of_the_sum(boundary):
     integrator.step(40)
     state = context.getState(positions=True, energy=True)
     assert abs(state.getPeriodicBoxVolume() / volume - 1.0) > 1e-3
-    again = context_of(system, state.getPositions())
+    again = resting(system, state.getPositions())
     again.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
     assert again.getState(energy=True).getPotentialEnergy() == state.getPotentialEnergy()
 
@@ -250,4 +250,4 @@ def test_a_barostat_changes_the_box_of_the_sum(boundary):
 def test_a_serialised_system_has_the_same_sum(wca):
     context, _ = fluid(27, boundary=rb.Ewald(dielectric=4.0), density=0.5, attraction=1.0, wca=wca)
     system = openmm.XmlSerializer.deserialize(openmm.XmlSerializer.serialize(context.getSystem()))
-    assert_same(evaluated(context_of(system, positions_of(context))), evaluated(context), 0.0)
+    assert_same(evaluated(resting(system, positions_of(context))), evaluated(context), 0.0)

@@ -6,7 +6,7 @@ import pytest
 
 import openmm_exactrb as rb
 import starts
-from force_laws import assert_lawful, context_of, evaluated
+from force_laws import assert_lawful, evaluated, resting
 from openmm_exactrb.potentials import dipole_rod_forces, rod_length
 from places import platform_for
 
@@ -18,7 +18,7 @@ def energy_forces_torques(n, kernel, tolerance, **options):
     _, system, positions = rb.dipole_fluid(
         n, kernel=kernel, boundary=rb.Ewald(cutoff=1.5, tolerance=tolerance), **STATE | options
     )
-    energy, forces = evaluated(context_of(system, positions))
+    energy, forces = evaluated(resting(system, positions))
     x = positions._value.reshape(n, -1, 3)
     on_masses = forces.reshape(x.shape)[:, :3]
     return energy, on_masses.sum(axis=1), np.cross(x[:, :3] - x[:, -2:-1], on_masses).sum(axis=1)
@@ -69,7 +69,7 @@ def test_what_is_added_within_the_cutoff_is_lawful(rng):
 @pytest.mark.parametrize("boundary", [rb.Ewald(cutoff=1.5, tolerance=1e-3), rb.ReactionField(cutoff=0.7)])
 def test_a_device_has_the_energies_and_forces_of_reference(boundary):
     _, system, positions = rb.dipole_fluid(27, kernel="openmm", boundary=boundary, **STATE | {"epsilon": 1.0})
-    energy, forces = evaluated(context_of(system, positions))
+    energy, forces = evaluated(resting(system, positions))
     platform, properties = platform_for("native")
     on_device, forces_there = evaluated(
         starts.context_of(system, openmm.VerletIntegrator(0.001), positions, platform=platform, properties=properties)

@@ -9,7 +9,7 @@ from scipy.integrate import quad
 from scipy.special import beta, betainc
 
 import openmm_exactrb as rb
-from force_laws import context_of, evaluated, slope
+from force_laws import evaluated, resting, slope
 from places import REFERENCE
 
 #: A Stockmayer fluid, and one whose dipoles are hardly there.
@@ -25,7 +25,7 @@ def edge_of(n):
 def energy_of(n, boundary, kernel="compiled", **options):
     """Return the energy and the places (n, 2, 3) of centres and tips."""
     _, system, positions = rb.dipole_fluid(n, boundary=boundary, kernel=kernel, **STOCKMAYER | options)
-    energy, _ = evaluated(context_of(system, positions))
+    energy, _ = evaluated(resting(system, positions))
     return energy, positions._value.reshape(n, -1, 3)[:, -2:]
 
 
@@ -115,7 +115,7 @@ def test_the_pressure_is_that_of_an_own_virial(options):
     n, cutoff, shifted = 216, 2.6, bool(options)
     boundary = rb.ReactionField(cutoff=2.0)
     _, system, positions = rb.dipole_fluid(n, boundary=boundary, sphere_cutoff=cutoff, **LENNARD_JONES | options)
-    context, edge = context_of(system, positions), edge_of(n)
+    context, edge = resting(system, positions), edge_of(n)
     x = positions._value.reshape(n, -1, 3)
 
     def energy_at(volume):
@@ -241,7 +241,7 @@ def test_other_platforms_and_integrators_have_the_same_energy():
 
 def test_the_correction_follows_the_parameters_of_the_context():
     _, system, positions = rb.dipole_fluid(125, boundary=FIELD, **LENNARD_JONES)
-    context = context_of(system, positions)
+    context = resting(system, positions)
     before = evaluated(context)[0]
     for name, factor in (("soft_repulsion", 2.0), ("soft_attraction", 2.0)):
         context.setParameter(name, factor * context.getParameter(name))

@@ -184,8 +184,8 @@ def test_barostats_act_as_often_in_time_once_divided(every, interval, expected):
             integrator = openmm.LangevinMiddleIntegrator(300 * K, 1 / PS, 2 * FS)
             simulation = simulation_of(topology, system, integrator, x, platform=CPU)
             assert system.getForces()[-1].getFrequency() == expected
-            simulation.minimizeEnergy(maxIterations=30)
-            simulation.step(8)
+        simulation.minimizeEnergy(maxIterations=30)
+        simulation.step(8)
     if every:
         assert (
             f"the MonteCarloBarostat acts every {expected} steps instead of every {every} steps of the script" in told

@@ -17,7 +17,7 @@ SCHEMES = ["S2_2", "W2_1", "W4_4", "SRKN6_14a", "V2_C17"]
 
 
 @pytest.mark.parametrize(("engine", "platform"), [("host", "Reference"), ("native", "CPU"), ("native", "Reference")])
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(st.sampled_from(SCHEMES), st.floats(0.05, 1.0), st.floats(300.0, 1e5), st.sampled_from([1, 60, 300]))
 @example("W2_1", 0.05, 3e4, 200)
 @example("V2_C17", 0.875, 30581.0, 60)

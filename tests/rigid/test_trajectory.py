@@ -150,8 +150,7 @@ def test_moves_of_users_are_left_to_the_host_where_kernels_are_compiled_before(p
         integrator.step(1)
 
 
-@pytest.mark.parametrize("together", [True, False])
-@pytest.mark.parametrize("kind", ["rescaling", "chain"])
+@pytest.mark.parametrize(("kind", "together"), [("rescaling", True), ("chain", False)])
 def test_thermostats_that_multiply_momenta_are_those_of_the_host(kind, together):
     def make(engine):
         if kind == "chain":

@@ -7,7 +7,7 @@ from openmm import app
 
 import openmm_exactrb as rb
 from places import errors_of
-from starts import simulation_of
+from starts import droplet_of
 
 #: Of the droplet in another process: reports do not fall on the chunks of ten steps.
 STEPS, INTERVAL = 1400, 7
@@ -30,13 +30,10 @@ def beyond(folder):
 
 def droplet(n=4, scheme="V2", h=0.005, trap=0.5, rotor="exact", platform="Reference", groups=None):
     """Return a Simulation of some dipoles."""
-    topology, system, positions = rb.dipole_fluid(n, seed=1, trap=trap)
     integrator = rb.ExactRigidBodyIntegrator(h, scheme=scheme, rotor=rotor)
     if groups is not None:
         integrator.setIntegrationForceGroups(groups)
-    return simulation_of(
-        topology, system, integrator, positions, kelvin=30.0, seed=2, platform=openmm.Platform.getPlatform(platform)
-    )
+    return droplet_of(integrator, n, trap, openmm.Platform.getPlatform(platform))
 
 
 def make(folder, interval=7, **options):

@@ -7,7 +7,7 @@ import pytest
 
 import openmm_exactrb as rb
 from openmm_exactrb.steps.substeps import DRIFT, LastForcesKick
-from thermostatted import droplet_of
+from starts import droplet_of
 
 WITH_OUTPUT = [name for name, scheme in rb.SCHEMES.items() if scheme.output]
 

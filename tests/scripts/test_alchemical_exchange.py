@@ -16,7 +16,7 @@ pytestmark = [
 ]
 LADDER = [{"sterics": 1.0, "charges": 1.0}, {"sterics": 1.0, "charges": 0.0}, {"sterics": 0.3, "charges": 0.0}]
 ENGINES = pytest.mark.parametrize("engine", ["native", "host"])
-PLATFORMS = pytest.mark.parametrize("platform", ["Reference", "CPU"])
+PLACES = pytest.mark.parametrize(("engine", "platform"), [("native", "Reference"), ("host", "CPU")])
 STEP = 0.004
 
 
@@ -64,8 +64,7 @@ def positions_of(states):
     return np.array([state.getPositions(asNumpy=True)._value for state in states])
 
 
-@ENGINES
-@PLATFORMS
+@PLACES
 def test_replicas_move_as_separate_runs_in_their_states(engine, platform):
     """With exchanges between, after which a replica has other parameters."""
     simulation = simulation_of(engine, platform)
@@ -113,8 +112,7 @@ def heats(sampler):
     return np.array(found)
 
 
-@ENGINES
-@PLATFORMS
+@PLACES
 def test_each_replica_has_its_heat_volume_and_step_also_when_resumed(engine, platform, tmp_path):
     settings = {"energy": True, "volume": True, "checkpoints": True}
     sampler = app.ReplicaExchangeSampler(LADDER, simulation_of(engine, platform, 5.0, barostat=True), 10)

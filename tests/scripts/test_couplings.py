@@ -8,19 +8,9 @@ from openmm import unit
 
 import openmm_exactrb as rb
 import starts
+from four_barostats import barostats
 
-BAR, KELVIN = unit.bar, unit.kelvin
-MEMBRANE = openmm.MonteCarloMembraneBarostat
-BAROSTATS = {
-    "isotropic": lambda n: openmm.MonteCarloBarostat(1 * BAR, 300 * KELVIN, n),
-    "anisotropic": lambda n: openmm.MonteCarloAnisotropicBarostat(
-        openmm.Vec3(1, 1, 1) * BAR, 300 * KELVIN, True, True, True, n
-    ),
-    "membrane": lambda n: MEMBRANE(
-        1 * BAR, 0 * BAR * unit.nanometer, 300 * KELVIN, MEMBRANE.XYIsotropic, MEMBRANE.ZFree, n
-    ),
-    "flexible": lambda n: openmm.MonteCarloFlexibleBarostat(1 * BAR, 300 * KELVIN, n),
-}
+BAROSTATS = barostats(300)
 
 
 def in_a_barostat(name, interval, integrator=None):
@@ -104,7 +94,7 @@ def test_a_barostat_moves_particles_without_mass_as_openmm_does(fast):
         pairs.addParticle(0.0, 0.3, 0.1)
     pairs.addException(0, 1, 0.0, 1.0, 0.0)
     system.addForce(pairs)
-    barostat = openmm.MonteCarloBarostat(5 * BAR, 300 * KELVIN, 1)
+    barostat = openmm.MonteCarloBarostat(5 * unit.bar, 300 * unit.kelvin, 1)
     barostat.setRandomNumberSeed(2)
     system.addForce(barostat)
     integrator = rb.ExactRigidBodyIntegrator(1e-7, scheme="V2", fast=fast)

@@ -13,7 +13,8 @@ import openmm_exactrb as rb
 from chains import FREQUENCY, nose_hoover
 from openmm_exactrb.context import variables
 from openmm_exactrb.thermostats import HybridMonteCarlo, Langevin, NoseHooverChain, StochasticRescaling
-from thermostatted import droplet_of, load, molecules, saved, simulation_of, snapshot
+from starts import droplet_of
+from thermostatted import load, molecules, saved, simulation_of, snapshot
 
 H = 0.01
 
@@ -122,7 +123,8 @@ GO_ON = """
 import hashlib, pickle, sys
 sys.path[:0] = sys.argv[1:3]
 import test_bits
-from thermostatted import droplet_of, load, snapshot
+from starts import droplet_of
+from thermostatted import load, snapshot
 for (name, kind), saved in pickle.load(open(sys.argv[3], "rb")).items():
     run = droplet_of(test_bits.ALL[name]())
     run.integrator.setVelocitiesToTemperature(500.0, 1)

@@ -11,8 +11,8 @@ from openmm_exactrb.steps.sequence import behind_exchange, palindromic
 from openmm_exactrb.steps.substeps import DRIFT
 from peptides import in_water
 from places import REFERENCE
-from starts import simulation_of
-from thermostatted import droplet_of, snapshot
+from starts import droplet_of, simulation_of
+from thermostatted import snapshot
 
 KELVIN = 30.0
 STEPS = 0.02, 0.01, 0.005

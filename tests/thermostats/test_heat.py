@@ -109,7 +109,7 @@ def told(integrator):
 
 
 @pytest.mark.filterwarnings("ignore:the CMMotionRemover removes the momentum that frozen particles")
-@spread_over({"case": CASES, "platform": PLATFORMS, "removes": [0, 2]}, times=2, indirect=["platform"])
+@spread_over({"case": CASES, "platform": PLATFORMS, "removes": [0, 2]}, indirect=["platform"])
 def test_kernels_tell_what_the_host_tells(case, removes, platform):
     contexts = CASES[case].started(removes, platform)
     host, kernels = (context.getIntegrator() for context in contexts)

@@ -7,7 +7,7 @@ import numpy as np
 import openmm_exactrb as rb
 from openmm_exactrb.integrators.bath_access import Tally
 from openmm_exactrb.thermostats.hybrid import accepts
-from thermostatted import droplet_of
+from starts import droplet_of
 
 
 def test_metropolis_takes_what_its_rule_takes():

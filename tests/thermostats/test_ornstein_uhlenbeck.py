@@ -159,7 +159,7 @@ def test_the_reference_of_the_damped_sphere_has_the_known_limits():
     np.testing.assert_allclose(correlation_of_a_damped_sphere(times, 50.0, 4), debye, atol=1e-4)
 
 
-@pytest.mark.parametrize("friction", [1.0, 5.0])
+@pytest.mark.parametrize("friction", [1.0, pytest.param(5.0, marks=pytest.mark.validate)])
 def test_the_orientation_of_a_damped_sphere_decays_as_it_must(rng, friction):
     n, h, moment = 3_000, 0.05, 1.7
     turn = rotor_of_sums("exact", np.full(3, moment))

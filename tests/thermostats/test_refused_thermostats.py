@@ -14,8 +14,7 @@ from openmm_exactrb.thermostats import HybridMonteCarlo, NoseHooverChain
 from openmm_exactrb.thermostats.langevin import ornstein_uhlenbeck
 from openmm_exactrb.thermostats.rescaling import rescaling
 from refusals import assert_refused, for_each, refused, with_options
-from starts import simulation_of
-from thermostatted import droplet_of
+from starts import droplet_of, simulation_of
 
 LANGEVIN = {"temperature": 300.0, "frictionCoeff": 2.0, "stepSize": 0.002}
 RESCALING = {"temperature": 300.0, "relaxationTime": 1.0, "stepSize": 0.002}

@@ -50,7 +50,8 @@ def test_the_kinetic_energy_later_has_the_exact_law(f, elapsed):
     assert stats.kstest(np.array(after) / unit, "ncx2", args=(f, before * c / unit)).pvalue > 1e-3
 
 
-@pytest.mark.parametrize("f", [pytest.param(1, marks=LONG), 3, pytest.param(60, marks=LONG)])
+@LONG
+@pytest.mark.parametrize("f", [1, 3, 60])
 def test_a_long_run_is_canonical_and_forgets_in_the_relaxation_time(f):
     kT, time, tau, n = 1.7, 0.4, 0.2, 10_000
     moments, rescale = single(f, kT, time)

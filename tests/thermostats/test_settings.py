@@ -8,7 +8,8 @@ from openmm import app, unit
 import openmm_exactrb as rb
 from openmm_exactrb.context.updates import ContextUpdates, acting_updates
 from openmm_exactrb.schemes import Scheme, spelled
-from thermostatted import R, droplet_of, molecules, simulation_of, snapshot
+from starts import droplet_of
+from thermostatted import R, molecules, simulation_of, snapshot
 
 RATE = unit.picosecond**-1
 

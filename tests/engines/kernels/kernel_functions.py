@@ -7,6 +7,7 @@ import mpmath as mp
 import numpy as np
 
 from openmm_exactrb.library import compilation
+from openmm_exactrb.library.functions import passed
 from openmm_exactrb.support.lock import only_process
 
 #: The unit of roundoff.
@@ -27,14 +28,7 @@ class Functions:
 
     def __call__(self, name, *arguments):
         """Call a function, which writes its results into arrays among its arguments."""
-        return getattr(self._library, name)(*map(_passed, arguments))
-
-
-def _passed(argument):
-    if isinstance(argument, np.ndarray):
-        assert argument.flags.c_contiguous
-        return ctypes.c_void_p(argument.ctypes.data)
-    return {float: ctypes.c_double, int: ctypes.c_int, bytes: ctypes.c_char_p}[type(argument)](argument)
+        return getattr(self._library, name)(*map(passed, arguments))
 
 
 def pairs(numbers, low=0.0):

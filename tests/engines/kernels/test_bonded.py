@@ -24,7 +24,7 @@ def forces_of(kernels, terms, x):
         members = np.ascontiguousarray(np.concatenate([kind.particles.T, kind.others]), np.int32)
         numbers = np.ascontiguousarray(kind.numbers)
         counts = len(kind.particles), len(x), harmonics
-        kernels("pi_add_forces", name.encode(), *counts, state, members, numbers, patches, sums)
+        kernels("pi_add_forces", name, *counts, state, members, numbers, patches, sums)
     return sums
 
 

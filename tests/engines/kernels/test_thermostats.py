@@ -158,7 +158,7 @@ def test_an_exchange_has_the_noise_of_its_place_and_adds_the_heat(kernels, toget
 def settings(chain):
     """Return the numbers of links, of repetitions and of weights, and the weights as text, as a program has them."""
     macros = dict(chain.factors.defines)
-    return *(macros[name] for name in ("CHAIN", "REPETITIONS", "N_WEIGHTS")), macros["WEIGHTS"].encode()
+    return *(macros[name] for name in ("CHAIN", "REPETITIONS", "N_WEIGHTS")), macros["WEIGHTS"]
 
 
 def moved(kernels, chain, values, kinetic, f, tau):
