@@ -11,9 +11,9 @@ from openmm_exactrb.context import variables
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.thermostats import NoseHooverChain
 from orders import exponent
+from starts import droplet_of
 from thermostatted import (
     R,
-    droplet_of,
     mean_and_error,
     molecules,
     simulation_of,
