@@ -45,11 +45,12 @@ class Pressures:
 
 
 BOUNDARIES = [
-    (rb.ReactionField(cutoff=1.7), {}, ("bonds", "openmm")),
+    (rb.ReactionField(cutoff=1.7), {}, ("openmm",)),
     (rb.ReactionField(), {"n": 27}, ("bonds",)),
     (rb.ReactionField(cutoff=1.2, dielectric=1.0), {"n": 27, "density": 0.3, "attraction": 0.4}, ("bonds", "openmm")),
     (rb.ReactionField(cutoff=1.4, switch=0.2), {"n": 27, "wca": True, "sphere_cutoff": 1.9}, ("bonds",)),
-    (rb.ReactionField(cutoff=1.6), {"shifted": True, "epsilon": 2.0, "sigma": 0.9}, ("bonds", "openmm")),
+    (rb.ReactionField(cutoff=1.6), {"shifted": True, "epsilon": 2.0, "sigma": 0.9}, ("openmm",)),
+    (rb.ReactionField(cutoff=1.6), {"n": 27, "shifted": True, "epsilon": 2.0, "sigma": 0.9}, ("bonds",)),
 ]
 
 

@@ -78,16 +78,24 @@ def test_a_pdbx_file_without_atoms_is_incomplete(capsys, tmp_path, lines):
     assert "some.cif is incomplete, or has another format" in errors
 
 
+def placeholder(edge):
+    return "CRYST1" + 3 * edge.format(1.0) + "  90.00  90.00  90.00 P 1           1"
+
+
 @pytest.mark.filterwarnings("ignore:the cell of 1")
 @pytest.mark.parametrize("edge", ["{:9.3f}", "{:9.2f}", "{:9.0f}"])
 def test_a_placeholder_is_no_box(capsys, tmp_path, edge):
     """Files of molecules that are not in a crystal have a cell of 1 Å."""
-    cell = "CRYST1" + 3 * edge.format(1.0) + "  90.00  90.00  90.00 P 1           1"
-    status, out, errors = info(capsys, tmp_path, [cell, *ATOMS, "END"])
+    status, out, errors = info(capsys, tmp_path, [placeholder(edge), *ATOMS, "END"])
     assert status == 0
     assert "periodic box" not in out
     assert errors.count("\n") == 1
     assert "the cell of 1 Å in" in errors
+
+
+@pytest.mark.filterwarnings("ignore:the cell of 1")
+def test_water_is_put_around_molecules_with_a_placeholder(capsys, tmp_path):
+    info(capsys, tmp_path, [placeholder("{:9.3f}"), *ATOMS, "END"])
     solvated = [str(tmp_path / "some.pdb"), *FIELD, "--solvate", "600", "--water", "tip3p"]
     assert main(["info", *solvated]) == 0
     assert "608 rigid bodies" in capsys.readouterr().out

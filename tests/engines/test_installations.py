@@ -54,6 +54,7 @@ class Machine:
         kept = {name: value for name, value in os.environ.items() if not name.startswith(("EXACTRB_", "XDG_"))}
         self.environment = kept | {"HOME": str(folder / "home"), library.CACHE: str(self.cache)}
         self.environment |= {"PATH": str(folder), "OPENMM_CPU_THREADS": "1"}
+        self.environment.setdefault("POCL_CACHE_DIR", str(Path.home() / ".cache" / "pocl" / "kcache"))  # of other tests
         self.environment.pop(compilation.COMPILER, None)
 
     def install(self, command):

@@ -65,7 +65,7 @@ def test_positions_and_velocities_are_those_of_one_time(integrator):
     "make",
     [
         lambda h: rb.ExactRigidBodyNoseHooverIntegrator(200, 5, h),
-        lambda h: rb.ExactRigidBodyLangevinIntegrator(200, 1e-6, h),
+        pytest.param(lambda h: rb.ExactRigidBodyLangevinIntegrator(200, 1e-6, h), marks=pytest.mark.validate),
         lambda h: rb.ExactRigidBodyRescalingIntegrator(200, 1e6, h),
     ],
     ids=["Nosé-Hoover", "Langevin", "rescaling"],

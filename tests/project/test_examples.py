@@ -118,7 +118,7 @@ LARGE = pytest.mark.validate  # seconds, and `make docs` runs it too
         pytest.param("ions_in_rigid_water.py", ["--steps", "20"], ["temperatures.png"], marks=LARGE),
         pytest.param("solvated_peptide.py", ["--steps", "20"], ["energy.png"], marks=LARGE),
         ("rigid_benzene.py", ["-n", "8", "--steps", "20"], ["cluster.png"]),
-        ("rigid_domains.py", ["--steps", "50"], ["energies.csv", "protein.png"]),
+        pytest.param("rigid_domains.py", ["--steps", "50"], ["energies.csv", "protein.png"], marks=LARGE),
         pytest.param(
             "stockmayer_fluid.py",
             ["-n", "27", "--equilibration", "0.6", "--duration", "1.8"],
