@@ -1,4 +1,3 @@
-import os
 import sys
 
 import pytest
@@ -8,14 +7,13 @@ from openmm_exactrb.library import compilation
 
 
 @pytest.fixture(scope="session")
-def kernels(tmp_path_factory):
-    """Functions of the kernels, compiled once: pytest's workers share a folder."""
+def kernels():
+    """Functions of the kernels, compiled once for all workers."""
     if sys.platform == "win32":
         pytest.skip("functions are exported by name on Windows")
-    folder = tmp_path_factory.getbasetemp()
     try:
         compilation.compiler()
         compilation.openmm_folder()
     except compilation.CompilationError as error:
         pytest.skip(f"needs a C++ compiler: {error}")
-    return Functions(folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder)
+    return Functions()

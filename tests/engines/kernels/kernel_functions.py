@@ -1,6 +1,7 @@
 """Functions of the kernels for processors, compiled from the same texts and with the same flags as the library."""
 
 import ctypes
+import hashlib
 from pathlib import Path
 
 import mpmath as mp
@@ -8,6 +9,7 @@ import numpy as np
 
 from openmm_exactrb.library import compilation
 from openmm_exactrb.library.functions import passed
+from openmm_exactrb.library.library import private_folder
 from openmm_exactrb.support.lock import only_process
 
 #: The unit of roundoff.
@@ -15,14 +17,17 @@ U = 2.0**-53
 
 
 class Functions:
-    """Functions of `*_functions.cpp`, compiled in a folder unless they are there."""
+    """Functions of `*_functions.cpp`, compiled unless they are there, beside the library of these tests."""
 
-    def __init__(self, folder):
-        path = folder / "kernel_functions.so"
+    def __init__(self):
+        sources = sorted(Path(__file__).parent.glob("*_functions.cpp"))
+        flags = "-fvisibility=default", f"-I{compilation.SOURCES[0].parent}", *compilation.of_this_machine()
+        own = hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()
+        folder = private_folder()
+        path = folder / f"kernel_functions-{compilation.digest(*flags, own)}.so"
         with only_process(folder, wait=True):
             if not path.exists():
-                flags = "-fvisibility=default", f"-I{compilation.SOURCES[0].parent}", *compilation.of_this_machine()
-                compilation.build(path, *flags, sources=sorted(Path(__file__).parent.glob("*_functions.cpp")))
+                compilation.build(path, *flags, sources=sources)
         self._library = ctypes.CDLL(str(path))
         self.at_once = self._library.bodies_at_once()
 
