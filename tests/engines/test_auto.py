@@ -1,7 +1,5 @@
-"""engine="auto" takes the kernels on Reference and CPU for what users simulate, and the README's script says so."""
+"""engine="auto" takes the kernels on Reference and CPU for what users simulate, and says so."""
 
-import contextlib
-import io
 from functools import cache, partial
 from pathlib import Path
 
@@ -9,7 +7,6 @@ import numpy as np
 import openmm
 import pytest
 from openmm import app
-from pages import ROOT, pieces
 
 import openmm_exactrb as rb
 import peptides
@@ -106,18 +103,6 @@ def test_auto_takes_the_kernels(row, platform):
     moved = np.linalg.norm(positions_of(context) - before, axis=1)
     assert np.median(moved) > 1e-5
     assert moved.max() < 0.2
-
-
-@pytest.mark.filterwarnings("ignore:unclosed file")  # that of a reporter, as at the end of a script
-def test_the_script_of_the_readme_prints_why_the_kernels_take_the_steps(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    names = {"__name__": "__page__"}
-    with contextlib.redirect_stdout(io.StringIO()) as out:
-        for piece, _ in pieces(ROOT / "README.md"):
-            exec(piece, names)
-    step = "a step is 8 fs with 4 force evaluations, one every 2 fs"
-    assert out.getvalue() == f"{NOTE.format('CPU')}; {step}\n"
-    assert names["integrator"].getEngine() == "native"
 
 
 def test_what_the_kernels_do_not_serve_is_refused_with_a_sentence():
