@@ -66,15 +66,16 @@ def test_they_are_found_prepared_and_run(name, form, platform, tmp_path, capsys)
         assert abs(energy / freedom - 1.0) < 10.0 * np.sqrt(2.0 / freedom)
 
 
+@pytest.mark.validate
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.filterwarnings("ignore::openmm_exactrb.ShapeWarning")
 @pytest.mark.parametrize(
     ("name", "form", "platform"),
     [
-        pytest.param("CH4", "xml", "OpenCL", marks=[pytest.mark.opencl, pytest.mark.validate]),
-        pytest.param("CO2", "gromacs", "CPU", marks=pytest.mark.validate),
+        pytest.param("CH4", "xml", "OpenCL", marks=pytest.mark.opencl),
+        ("CO2", "gromacs", "CPU"),
         ("CH4", "mixture", "CPU"),
-        pytest.param("N2", "amber", "CPU", marks=pytest.mark.validate),
+        ("N2", "amber", "CPU"),
     ],
 )
 def test_a_step_is_found_for_them(name, form, platform, tmp_path, capsys):
