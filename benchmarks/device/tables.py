@@ -1,6 +1,8 @@
-"""Tables of on_gpu.py: the time of a force evaluation on a GPU, and the length that is simulated per day."""
+"""Tables of on_gpu.py and operations.py: the time of a force evaluation on a GPU, and the length simulated per day."""
 
 from __future__ import annotations
+
+import math
 
 from benchmarks.common.markdown import rows, table
 
@@ -51,3 +53,18 @@ def device_proteins() -> str:
         body.append((_NAMES[system].format(molecules), *cells, f"{ours / theirs:.2f}"))
     names = (f"`{name.removesuffix(' native')}`, {fs} fs" for name, fs in _OF_PROTEINS.items())
     return table(("ms per evaluation, ns per day", *names, "throughput of `W2_3m`"), body)
+
+
+def device_operations() -> str:
+    """Return the operations in double precision of a force evaluation, and their share of its time."""
+    names = {"water": "100 000 TIP3P", "villin": "villin in water", "dhfr": "DHFR in water"}
+    body = []
+    for system, name in names.items():
+        found = [row for row in rows("device_operations") if row["system"] == system]
+        of_water = sum(int(row["operations in all"]) for row in found if row["part"] == "segment of a water")
+        total = sum(int(row["operations in all"]) for row in found)
+        shares = [float(row["percent of a force"]) for row in found]
+        share = "" if any(map(math.isnan, shares)) else f"{sum(shares):.1f} %"
+        body.append((name, f"{of_water / 1e6:.2f}", f"{(total - of_water) / 1e6:.2f}", share, found[0]["launches"]))
+    head = "system", "million operations of water", "of the protein", "share of the time", "launches of this package"
+    return table(head, body)

@@ -1,7 +1,7 @@
 // Forces of bonds, angles, torsions, maps of two torsions and pairs of atoms within a block of clusters, with the
-// formulas of openmm_exactrb.multiple_time_steps.bonded_forces, and of custom forces. Differences of positions are computed in double precision, and
-// all further numbers in the type SCALAR, which is `fine` (float or double), or double where float is not accurate
-// enough. On processors, a thread evaluates AT_ONCE terms at once, and NUMERIC is a vector with a number of each (LANE).
+// formulas of openmm_exactrb.multiple_time_steps.bonded_forces, and of custom forces. Numbers have the type SCALAR, which is
+// `fine`, or double where float is not accurate enough. If `fine` is float, `split` contains for each position the nearest
+// float and the rest, so that differences of positions have a relative error of float. On processors, a thread evaluates AT_ONCE terms at once, and NUMERIC is a vector with a number of each (LANE).
 //
 // Tables are stored column by column: number k of term t is numbers[k*count+t]. The atoms of a term are given by their
 // indices in the block. A block adds forces only to its own atoms, the first `own` of these indices. A term that
@@ -16,7 +16,10 @@ typedef int Atoms;
 #define atoms_of(column, t, last) (column)[t]
 #define numbers_of(column, t, last) (column)[t]
 #define strengths_of(column, t, last) (column)[t]
-#define DISTANCE(a, b, e) (xs[3*(a)+e]-xs[3*(b)+e])
+#define POSITIONS LOCAL_ARG const number* xs, LOCAL_ARG const fine* split
+#define EXACT_DISTANCE(a, b, e) (xs[3*(a)+e]-xs[3*(b)+e])
+#define REST (3*PLACES_OF_BLOCK)
+#define DISTANCE(a, b, e) (SINGLE ? (split[3*(a)+e]-split[3*(b)+e])+(split[REST+3*(a)+e]-split[REST+3*(b)+e]) : (fine) EXACT_DISTANCE(a, b, e))
 #define DERIVATIVE(kind, v) derivative_of_##kind(force, v, numbers+t, terms.count, parameters)
 #define ADD(a, f, u) add((f)*u##0, (f)*u##1, (f)*u##2, a, sums, broken, own);
 #define ADD_TWO(a, f, u, b, g, v) ADD(a, f, u) ADD(b, g, v)
@@ -27,10 +30,11 @@ typedef int Atoms;
 #define NUMBER(k) numbers_of(numbers+(k)*terms.count, t, terms.last)
 #define STRENGTH(k) strengths_of(numbers+(k)*terms.count, t, terms.last) // zero beyond the last term
 #define EACH_TERM for (int t = terms.first; t < terms.last; t += AT_ONCE*LOCAL_SIZE)
-#define IN_BLOCK LOCAL_ARG const number* xs, LOCAL_ARG term_sum* sums, LOCAL_ARG int* broken, int own, Terms terms, GLOBAL const int* terms_of, \
+#define IN_BLOCK POSITIONS, LOCAL_ARG term_sum* sums, LOCAL_ARG int* broken, int own, Terms terms, GLOBAL const int* terms_of, \
     GLOBAL const SCALAR* numbers
 #define SCALAR fine
 #define NUMERIC FINES
+#define BETWEEN DISTANCE
 
 // Return the terms of a kind that a thread evaluates, of those from `first` to `last` - 1 of a block. The first term goes to
 // the thread after the one that has the last term of the previous kind, so that all threads have a similar number of terms.
@@ -40,7 +44,7 @@ DEVICE inline Terms terms_of_kind(int first, int last, int count, int* before) {
     return terms;
 }
 
-#define DIFFERENCE(u, a, b) const NUMERIC u##0 = (NUMERIC) DISTANCE(a, b, 0), u##1 = (NUMERIC) DISTANCE(a, b, 1), u##2 = (NUMERIC) DISTANCE(a, b, 2)
+#define DIFFERENCE(u, a, b) const NUMERIC u##0 = BETWEEN(a, b, 0), u##1 = BETWEEN(a, b, 1), u##2 = BETWEEN(a, b, 2)
 #define DOT(u, v) (u##0*v##0+u##1*v##1+u##2*v##2)
 #define CROSS(w, u, v) const NUMERIC w##0 = u##1*v##2-u##2*v##1, w##1 = u##2*v##0-u##0*v##2, w##2 = u##0*v##1-u##1*v##0
 
@@ -48,7 +52,7 @@ DEVICE inline Terms terms_of_kind(int first, int last, int count, int* before) {
 DEVICE inline void add_bonds(IN_BLOCK) {
     EACH_TERM {
         const Atoms a = ATOM(0), b = ATOM(1);
-        const EXACTS d0 = DISTANCE(a, b, 0), d1 = DISTANCE(a, b, 1), d2 = DISTANCE(a, b, 2), square = d0*d0+d1*d1+d2*d2;
+        const EXACTS d0 = EXACT_DISTANCE(a, b, 0), d1 = EXACT_DISTANCE(a, b, 1), d2 = EXACT_DISTANCE(a, b, 2), square = d0*d0+d1*d1+d2*d2;
         const FINES u0 = (FINES) d0, u1 = (FINES) d1, u2 = (FINES) d2, r = sqrt((FINES) square), length = NUMBER(0);
         FINES f = -STRENGTH(3)*(FINES) (square-(EXACTS) NUMBER(1)-(EXACTS) NUMBER(2))/((r+length)*r);
         EACH(l, AT_ONCE)
@@ -145,22 +149,24 @@ DEVICE inline void add_impropers(IN_BLOCK) {
     }
 }
 
-// Float is not accurate enough for twelfth powers and for the position within a patch of a map.
-#undef SCALAR
-#undef NUMERIC
-#define SCALAR double
-#define NUMERIC EXACTS
-
 // Numbers: product of charges times Coulomb's constant, sigma, epsilon.
 DEVICE inline void add_pairs(IN_BLOCK) {
     EACH_TERM {
         const Atoms a = ATOM(0), b = ATOM(1);
         DIFFERENCE(u, a, b);
-        const EXACTS over = 1/DOT(u, u), ratio = NUMBER(1)*NUMBER(1)*over, s = ratio*ratio*ratio;
-        const EXACTS f = (STRENGTH(0)*sqrt(over)+STRENGTH(2)*(48*s-24)*s)*over;
+        const FINES over = 1/DOT(u, u), ratio = NUMBER(1)*NUMBER(1)*over, s = ratio*ratio*ratio;
+        const FINES f = (STRENGTH(0)*sqrt(over)+STRENGTH(2)*(48*s-24)*s)*over;
         ADD_TWO(a, f, u, b, -f, u)
     }
 }
+
+// Float is not accurate enough for any energy, and for the position within a patch of a map.
+#undef SCALAR
+#undef NUMERIC
+#undef BETWEEN
+#define SCALAR double
+#define NUMERIC EXACTS
+#define BETWEEN EXACT_DISTANCE
 
 // Custom forces: the energy is an expression of the distance, the angle or the torsion, with DERIVATIVE as its derivative.
 #define OF_CUSTOM int force, GLOBAL const int* customs, GLOBAL const double* values, GLOBAL const double* parameters

@@ -11,7 +11,7 @@ from openmm_exactrb.support.types import Array, Indices
 #: Kinds of terms in the order of the kernel's tables.
 KINDS = ("bonds", "angles", "torsions", "pairs", "impropers", "maps")
 #: Kinds whose numbers are always in double precision.
-EXACT = ("pairs", "maps")
+EXACT = ("maps",)
 
 
 class Kind(NamedTuple):

@@ -23,18 +23,21 @@ DEVICE inline void philox(mm_ulong key, mm_ulong* c) {
     }
 }
 
-// Return a number in the open interval (0, 1).
-DEVICE inline double uniform(mm_ulong word) {
+// Return a number in the open interval (0, 1), or in (0, 1] in single precision.
+DEVICE inline fine uniform(mm_ulong word) {
+    if (SINGLE)
+        return ((fine) (unsigned int) (word>>32)+((fine) (unsigned int) word+REAL(0.5))*REAL(1.0/4294967296.0))*REAL(1.0/4294967296.0);
     return ((double) (word>>11)+0.5)*(1.0/9007199254740992.0);
 }
 
 // Draw four normal random numbers for a key, a step, a stream (16 times the number of a substep, plus the purpose) and
-// a body.
-DEVICE inline void normals(mm_long key, mm_long step, int stream, int body, double* n) {
+// a body. In single precision, angles are between -pi and pi, where fast sines and cosines are most accurate.
+DEVICE inline void normals(mm_long key, mm_long step, int stream, int body, fine* n) {
     mm_ulong c[4] = {(mm_ulong) body+1, 0, (mm_ulong) stream, (mm_ulong) step};
     philox((mm_ulong) key, c);
     for (int i = 0; i < 2; i++) {
-        const double r = sqrt(-2.0*log(uniform(c[2*i]))), angle = 6.283185307179586477*uniform(c[2*i+1]);
+        const fine size = sqrt(fmax(-2*log(uniform(c[2*i])), REAL(0.0))), r = SINGLE ? -size : size;
+        const fine angle = REAL(6.283185307179586477)*(uniform(c[2*i+1])-(SINGLE ? REAL(0.5) : REAL(0.0)));
         n[2*i] = r*cos(angle);
         n[2*i+1] = r*sin(angle);
     }

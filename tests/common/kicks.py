@@ -18,9 +18,9 @@ class Kicks:
 
     def __init__(self, system, molecules, platform, precision=np.float64):
         n, on_processor = system.getNumParticles(), platform is REFERENCE
-        flexible = Flexible(molecules, np.zeros((n, 3)), precision)
+        flexible = Flexible(molecules, np.zeros((n, 3)))
         self.n, self.precision = n, precision
-        self.part = FlexiblePart(flexible, Demands(pairs=on_processor), "flexible_")
+        self.part = FlexiblePart(flexible, Demands(pairs=on_processor, single=precision is np.float32), "flexible_")
         table, program = Table(), Program()
         program.sequence("kick", self.part.launches(Segment((Move(Op.FAST_KICK, 1.0),), shows=True), table))
         program.scalars |= {"turn": 0.0, "key": 0.0, "hottest": 1e300}

@@ -67,6 +67,18 @@ def test_blocks_with_terms_in_common_move_as_one(scheme, friction, monkeypatch):
     assert len(flexible.blocks) > 3
 
 
+def test_blocks_with_terms_in_common_and_water_take_four_launches_a_force(monkeypatch):
+    monkeypatch.setattr(blocks, "COST_OF_BLOCK", 150)
+    monkeypatch.setattr(blocks, "COST_OF_MOLECULE", 150)
+    _, device = moved(in_water(waters=30), nested("BAOA", 0.008, 5.0))
+    machine, launches = device.getIntegrator()._propagator.machine, []  # noqa: SLF001
+    for steps in (2, 8):
+        before = machine.launches
+        device.getIntegrator().step(steps)
+        launches.append(machine.launches - before)
+    assert launches[1] - launches[0] == 6 * 4
+
+
 @pytest.mark.parametrize("scheme", ["S2_2", "BAOA", "W2_3m"])
 def test_clusters_without_bonded_forces_end_their_steps_as_on_the_host(scheme):
     """Beside a chain with inner steps, which ends a step of BAOA and W2_3m at the heat exchange."""

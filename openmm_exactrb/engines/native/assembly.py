@@ -15,6 +15,7 @@ from openmm_exactrb.engines.native.program import Launch, Program, Source
 from openmm_exactrb.engines.native.rigid import Demands, RigidPart, parts_of
 from openmm_exactrb.engines.native.segments import ALL, Step, Table, divided
 from openmm_exactrb.engines.native.sequences import Sequences
+from openmm_exactrb.engines.native.together import joined, together
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.thermostatted import canonical_momenta
@@ -51,6 +52,7 @@ class Assembly:
         flexible: Sequence[Flexible] = (),
         evaluated: Evaluated | None = None,
         pairs: bool = False,
+        single: bool = False,
     ) -> None:
         self.scheme, processed = scheme, bool(scheme.processor)
         factors = None if thermostat is None else thermostat.factors
@@ -74,12 +76,14 @@ class Assembly:
         if inner is not None:  # and one at the positions of each displaced kick
             self.fast_evaluations = sum(map(inner.evaluations, drifts)) + step.remembered[1]
         self._has_output = bool(scheme.output)
-        self._demands = demands = _demands(scheme, step, thermostat, pairs)
+        self._demands = demands = _demands(scheme, step, thermostat, pairs, single)
         self.table = Table(demands.own)
         prefixes = "flexible_", "constrained_"
         molecules = [FlexiblePart(some, demands, prefix) for some, prefix in zip(flexible, prefixes, strict=False)]
         others = np.concatenate([np.zeros(0, int), *(part.bodies for part in molecules)])
         self.parts: list[RigidPart | FlexiblePart] = [*molecules, *parts_of(bodies, demands, others)]
+        if not pairs:
+            joined(self.parts)
         self.program = to = Program()
         to.scalars |= {"turn": 0.0, "key": 0.0, "hottest": 0.0, "removes": 0.0, "enough": self._enough}
         to.array("factors", 2)
@@ -87,7 +91,7 @@ class Assembly:
         numbers = () if thermostat is None else thermostat.persistent
         to.array("thermostat", len(numbers), saved=True)
         to.numbers = "thermostat", [variables.PREFIX + name for name in numbers]
-        sequences = Sequences(self.parts, self.table, sites, factors and self._factors(factors))
+        sequences = Sequences(self.parts, self.table, sites, factors and self._factors(factors), together)
         sequences.write_step(to, step, processed)
         if processed:
             sequences.write_processor(to, scheme, rows[len(rows) - step.held :])
@@ -98,7 +102,7 @@ class Assembly:
 
     def _factors(self, factors: Factors) -> Callable[[int], Launch]:
         """Return a function that maps the row of a heat exchange to the launch that computes its factors."""
-        source = Source("thermostats", ("random.cl", "thermostats.cl"), factors.defines)
+        source = Source("thermostats", ("precision.cl", "random.cl", "thermostats.cl"), factors.defines)
         arrays = "totals", "factors", "thermostat", Table.MOVES, Table.NUMBERS
         return lambda row: Launch(source, factors.kernel, 1, (*arrays, row, "#step", "$key"), 1)
 
@@ -109,8 +113,8 @@ class Assembly:
         return max(math.ceil(size / per_step) for size, per_step in pairs) if self._has_output else 1e300
 
 
-def _demands(scheme: Scheme, step: Step, thermostat: Thermostat | None, pairs: bool) -> Demands:
-    """Return what a scheme and its thermostat require of the kernels; `pairs` is that of `Demands`."""
+def _demands(scheme: Scheme, step: Step, thermostat: Thermostat | None, pairs: bool, single: bool) -> Demands:
+    """Return what a scheme and its thermostat require of the kernels; `pairs` and `single` are those of `Demands`."""
     moves = _moves(scheme)
     (forces, differences), (per_step, of_differences) = scheme.memory, step.remembered
     return Demands(
@@ -123,6 +127,7 @@ def _demands(scheme: Scheme, step: Step, thermostat: Thermostat | None, pairs: b
         -1 if thermostat is None or thermostat.heat is None else thermostat.persistent.index(thermostat.heat),
         tuple(dict.fromkeys(move.text for move in moves if move.text)),
         pairs,
+        single,
     )
 
 

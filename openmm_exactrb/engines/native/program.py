@@ -46,6 +46,11 @@ class Source:
         defines = [f"#define {name} {value}\n" for name, value in self.defines]
         return "\n".join([definitions(), "".join(defines), *map(_piece, self.pieces)])
 
+    def with_pieces_of(self, other: Source, *pieces: str) -> Source:
+        """Return the source with the kernels of both, and with further pieces that need both."""
+        every = dict.fromkeys((*self.pieces, *other.pieces, *pieces))
+        return Source(self.name, tuple(every), tuple({**dict(self.defines), **dict(other.defines)}.items()))
+
     @property
     def lines(self) -> list[str]:
         """The lines of a program for a processor: the name of compiled kernels and their constants."""

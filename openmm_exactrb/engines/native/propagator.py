@@ -131,6 +131,7 @@ class NativePropagator:
             self._flexible,
             self._served.evaluated,
             self._on_processor,
+            self._single,
         )
         self.machine.load(assembly.program.text(self._on_processor))
         self.sync.begin(self.machine, assembly.parts, self._processed, platforms.precision(context) == "single")
@@ -140,10 +141,13 @@ class NativePropagator:
         self.machine["removal"] = self.updates.removal
 
     @property
+    def _single(self) -> bool:
+        """Whether increments of the state are in single precision, like OpenMM's forces."""
+        return not self._on_processor and platforms.precision(self.sync.context) != "double"
+
+    @property
     def _flexible(self) -> list[Flexible]:
-        """The flexible molecules; fast forces are in double precision if the platform uses it for all forces."""
-        precision = np.float64 if platforms.precision(self.sync.context) == "double" else np.float32
-        return [Flexible(molecules, self.sync.particles, precision) for molecules in self._served.molecules]
+        return [Flexible(molecules, self.sync.particles) for molecules in self._served.molecules]
 
     @property
     def _fast(self) -> FastForces | None:

@@ -32,6 +32,8 @@ BLOCK, GROUPS = 64, 256
 SUMS, TOTALS = 4, ("totals", "thermostat")
 #: A body counts as unmoved if a barostat displaced it by less than this distance (nm).
 STILL = 1e-9
+#: The kernel that performs a segment.
+SEGMENT = "segment"
 _STATE = ("R", "P", "q", "L")
 _ROWS = {"R": 3, "P": 3, "q": 4, "L": 3}
 _TABLES = ("kind", "kinds", "atoms", "sites", "masses", "constants")
@@ -65,6 +67,9 @@ class Demands:
         Source texts of the users' moves, in the order of their numbers.
     pairs : bool
         Whether numbers of the state have low parts, as on processors.
+    single : bool
+        Whether increments of the state are in single precision, as on a device unless all of OpenMM's numbers are in
+        double precision.
     """
 
     memory: tuple[int, int] = (0, 1)
@@ -76,12 +81,14 @@ class Demands:
     heat: int = -1
     own: tuple[str, ...] = ()
     pairs: bool = False
+    single: bool = False
 
     @property
-    def defines(self) -> tuple[tuple[str, int], ...]:
-        """The macros of the kernels for stored forces and for heat exchanges."""
+    def defines(self) -> tuple[tuple[str, object], ...]:
+        """The macros of the kernels for the precision, for stored forces and for heat exchanges."""
         (forces, per_step), (differences, of_differences) = self.memory, self.differences
         return (
+            ("FINE", "float" if self.single else "double"),
             ("MEMORY", max(forces, 1)),
             ("PER_STEP", per_step),
             ("DIFFERENCES", max(differences, 1)),
@@ -132,25 +139,25 @@ class RigidPart:
         prefix: str = "",
         lanes: int = 1,
     ) -> None:
-        self._demands, self._prefix, self._lanes = demands, prefix, lanes
+        self._demands, self._prefix, self.lanes = demands, prefix, lanes
         some = [kind for kind in kinds if chosen[kind.bodies].any()]
         self._kinds = [kind.only(chosen[kind.bodies]) for kind in some]
         ranges = [np.arange(kind.bodies.start, kind.bodies.stop)[chosen[kind.bodies]] for kind in some]
         self.columns = np.concatenate([np.zeros(0, dtype=np.intp), *ranges])  # indices of the bodies among all bodies
         self.n = len(self.columns)
         self._turning = self.columns < bodies.n_turning
+        self.source = self._text()
 
     # -- declarations and launches ---------------------------------------------------------------------------------
 
-    @property
-    def _source(self) -> Source:
+    def _text(self) -> Source:
         demands = self._demands
         own = [_own(number, text) for number, text in enumerate(demands.own)]
         sizes = {kind.particles.shape[1] for kind in self._kinds}
         defines: list[tuple[str, object]] = [
             ("BODIES", self.n),
-            ("LANES", self._lanes),
-            *([("SITES", *sizes)] if len(sizes) == 1 and self._lanes == 1 else []),
+            ("LANES", self.lanes),
+            *([("SITES", *sizes)] if len(sizes) == 1 and self.lanes == 1 else []),
             *demands.defines,
             ("STILL", STILL),
             ("LIGHT", LIGHT),
@@ -158,7 +165,7 @@ class RigidPart:
             ("GROUPS", GROUPS),
             ("OWN_MOVES", " ".join(case for _, case in own)),
         ]
-        body = "context.cl", "nodes.cl", "rotation.cl", "random.cl", "body.cl"
+        body = "precision.cl", "random.cl", "context.cl", "nodes.cl", "rotation.cl", "body.cl"
         return Source(
             "rigid",
             (*body, *(text for text, _ in own), "rigid.cl", "rigid_updates.cl", "sums.cl", "kinetic.cl"),
@@ -208,18 +215,18 @@ class RigidPart:
             *table.rows(moves),
             *(what, "#step", "$key", "$turn"),
         )
-        return [self._launch("segment", arguments)]
+        return [self._launch(SEGMENT, arguments)]
 
     def _launch(self, function: str, arguments: tuple[str | int, ...], threads: int | None = None) -> Launch:
-        lanes = self._lanes
-        return Launch(self._source, function, threads or self.n * lanes, arguments, lanes if lanes > 1 else BLOCK)
+        lanes = self.lanes
+        return Launch(self.source, function, threads or self.n * lanes, arguments, lanes if lanes > 1 else BLOCK)
 
     def reductions(self, copied: bool, adds: bool) -> list[Operation]:
         """Return operations that write the kinetic energies to "totals" or, if `adds`, add the energies to "totals"."""
         threads, (heat, sums) = min(self.n, BLOCK * GROUPS), self._named("heat", "kinetic")
         tables = self._named("kind", "kinds", "constants")
-        kinetic = Launch(self._source, "kinetic", threads, (*tables, *self.state(copied), heat, sums), BLOCK)
-        return [kinetic, Launch(self._source, "total", BLOCK, (sums, *TOTALS, int(adds)), BLOCK)]
+        kinetic = Launch(self.source, "kinetic", threads, (*tables, *self.state(copied), heat, sums), BLOCK)
+        return [kinetic, Launch(self.source, "total", BLOCK, (sums, *TOTALS, int(adds)), BLOCK)]
 
     def kinetic_by_kind(self, machine: Machine) -> Array:
         """Return the kinetic energies that the last reductions found: of translation, rotation and other particles."""

@@ -61,12 +61,15 @@ class Sequences:
     factors : callable, optional
         factors(row) -> the launch that computes the factors of the heat exchange in a row of the table from the kinetic
         energies.
+    together : callable
+        together(operations) -> the launches of a segment, of which some may be joined.
     """
 
     parts: Sequence[Part]
     table: Table
     sites: bool
     factors: Callable[[int], Operation] | None = None
+    together: Callable[[list[Operation]], list[Operation]] = list
 
     def carried_out(self, segments: Iterable[Segment]) -> list[Operation]:
         """Return the operations of segments, each preceded by the evaluation that it needs."""
@@ -96,7 +99,7 @@ class Sequences:
         """Return the launches of all parts for a segment."""
         if not segment.moves and not segment.shows and not segment.places:
             return []
-        return [operation for part in self.parts for operation in part.launches(segment, self.table)]
+        return self.together([operation for part in self.parts for operation in part.launches(segment, self.table)])
 
     def _each(self, method: str, *arguments: bool) -> list[Operation]:
         """Return the operations that a method returns for all parts."""

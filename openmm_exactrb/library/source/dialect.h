@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <limits>
 #if defined(_MSC_VER)
 #include <intrin.h>
 #elif defined(__GNUC__)
@@ -31,6 +32,12 @@
 #define WORKSPACE(room, place, size) sized(room_of_clusters, size)
 #define HIGH_PRODUCT(a, b) high_product(a, b)
 #define LOW_PARTS 1
+// Increments of the state have its precision; see kernels/precision.cl.
+#define FINE double
+#define SINGLE 0
+#define REAL(x) (x)
+#define DOUBLES REALS
+#define NOT_A_NUMBER std::numeric_limits<double>::quiet_NaN()
 #define TIMES_LOW_PARTS(a, q) low_parts_along(a, q)
 
 namespace exactrb {
@@ -38,6 +45,7 @@ namespace {
 
 typedef long long mm_long;
 typedef unsigned long long mm_ulong;
+typedef FINE fine;
 typedef double real;
 typedef double mixed;
 typedef double component;

@@ -1,13 +1,17 @@
 // The kernels of flexible molecules for processors.
 #include "stars.h"
-#define FINE double
 #define FINES several
 #define EXACTS several
 #define ON(a, f, u) force_on(a, (f)*u##0, (f)*u##1, (f)*u##2)
 #define ADD_TWO(a, f, u, b, g, v) add({ON(a, f, u), ON(b, g, v)}, sums);
 #define ADD_THREE(a, f, u, b, g, v, c, h, w) add({ON(a, f, u), ON(b, g, v), ON(c, h, w)}, sums);
 #define ADD_FOUR(a, f, u, b, g, v, c, h, w, d, i, x) add({ON(a, f, u), ON(b, g, v), ON(c, h, w), ON(d, i, x)}, sums);
+#define POSITIONS const number* xs
+#define POSITIONS_OF_BLOCK xs
+#define SPLIT_POSITIONS fine* const split = NULL;
+#define split_positions(places, xs)
 #define DISTANCE(a, b, e) (coordinates(xs, a, e)-coordinates(xs, b, e))
+#define EXACT_DISTANCE DISTANCE
 #define DERIVATIVE(kind, v) derivative(force, v, t, terms, numbers, customs, values, parameters)
 
 namespace exactrb {

@@ -25,6 +25,8 @@ from openmm_exactrb.support.types import Array, Indices
 
 #: Number of threads per block of atoms.
 THREADS = 256
+#: The kernel that performs inner steps.
+INNER_STEPS = "inner_steps"
 # Bits for the actions of a launch in addition to its moves, as in kernels/layout.cl.
 _CONTEXT = ("posq", "posqCorrection", "velm", "force", "places", "box")
 _FORCES = ("memory", "differences", "here", "push", "seen", "exchanged", "heat")
@@ -41,41 +43,39 @@ class Flexible(NamedTuple):
     molecules : Molecules
     particles : (n_particles, 3) array
         Current positions of all particles, which are used for massless particles only.
-    precision : type
-        Floating-point type of the fast forces: np.float32 or np.float64.
     """
 
     molecules: Molecules
     particles: Array
-    precision: type[np.floating[Any]]
 
 
 class FlexiblePart:
     """The part of a program for flexible molecules, with a prefix for array names."""
 
     def __init__(self, flexible: Flexible, demands: Demands, prefix: str) -> None:
-        molecules, self._particles, precision = flexible
+        molecules, self._particles = flexible
         self._molecules, self._demands, self._prefix = molecules, demands, prefix
         terms, customs = molecules.particles_of_terms, molecules.customs
         self._parameters = list(expressions.parameters_of(customs))
         self.blocks = blocks_of(molecules.groups, terms, len(molecules.masses), divides=not demands.pairs)
-        self._precision, self._masses, self._body_of = precision, molecules.masses, molecules.body_of
+        self._masses, self._body_of = molecules.masses, molecules.body_of
         self._of_clusters, of_clusters = clusters.arrays(
             self.blocks.starts, self.blocks.sizes, self.blocks.groups, shared=demands.pairs
         )
+        precision = np.float32 if demands.single else np.float64
         self._of_terms, of_terms = tables.arrays(molecules.terms, self.blocks, precision, customs)
         self.n = len(self.blocks.particles)
         self.columns = self._body_of[self.blocks.particles]
         self._open = of_terms["PLACES_IN_ALL"] > self.n
-        self._source = self._text(of_clusters | of_terms)
+        self.source = self._text(of_clusters | of_terms)
         self._mass = self._masses[self.blocks.particles]
 
     def _text(self, constants: dict[str, Any]) -> Source:
         demands = self._demands
-        constants |= {"FINE": "float" if self._precision is np.float32 else "double", "STILL": STILL}
-        constants |= {"BLOCK": BLOCK, "GROUPS": GROUPS, "LIGHT": LIGHT}
+        constants |= {"STILL": STILL, "BLOCK": BLOCK, "GROUPS": GROUPS, "LIGHT": LIGHT}
         constants |= dict(demands.defines)
-        files: tuple[str, ...] = ("random.cl", "context.cl", "layout.cl", "fixed_sums.cl", "star.cl", "graph.cl")
+        files: tuple[str, ...] = ("precision.cl", "random.cl", "context.cl", "layout.cl", "fixed_sums.cl")
+        files += ("star.cl", "graph.cl")
         forces = (
             *expressions.pieces(self._molecules.customs),
             "bonded.cl",
@@ -167,14 +167,14 @@ class FlexiblePart:
             *self._named(*_FORCES, *_ATOMS, *_TABLES_OF_CLUSTERS, *_TABLES_OF_TERMS),
             *(Table.MOVES, Table.NUMBERS, "factors", *rows, what, "#step", "$key", "$turn", "$hottest"),
         )
-        return Launch(self._source, "inner_steps", THREADS * len(self.blocks), arguments, THREADS)
+        return Launch(self.source, INNER_STEPS, THREADS * len(self.blocks), arguments, THREADS)
 
     def reductions(self, copied: bool, adds: bool) -> list[Operation]:
         """Return operations that project velocities and write (or, if `adds`, add) the kinetic energy to "totals"."""
         x, v = self.state(copied)
         threads, (inverse, heat, sums) = min(self.n, BLOCK * GROUPS), self._named("inverse", "heat", "kinetic")
-        kinetic = Launch(self._source, "flexible_kinetic", threads, (inverse, x, self._seen, heat, sums), BLOCK)
-        total = Launch(self._source, "total", BLOCK, (sums, *TOTALS, int(adds)), BLOCK)
+        kinetic = Launch(self.source, "flexible_kinetic", threads, (inverse, x, self._seen, heat, sums), BLOCK)
+        total = Launch(self.source, "total", BLOCK, (sums, *TOTALS, int(adds)), BLOCK)
         return [self._launch((0, 0), PROJECTS, (x, x, v)), kinetic, total]
 
     def kinetic_by_kind(self, machine: Machine) -> Array:
@@ -187,12 +187,12 @@ class FlexiblePart:
         _, v = self.state(to_copy)
         atoms, inverse, heat = self._named("atoms", "inverse", "heat")
         arguments = "velm", "places", atoms, inverse, self._seen, v, heat, "$removes"
-        return [Launch(self._source, "flexible_pushed", self.n, arguments)]
+        return [Launch(self.source, "flexible_pushed", self.n, arguments)]
 
     def moved(self, copied: bool) -> list[Operation]:
         """Return the operations that read positions changed by OpenMM."""
         arguments = "posq", "posqCorrection", "places", "box", f"{self._prefix}atoms", self.state(copied)[0]
-        return [Launch(self._source, "flexible_moved", self.n, arguments)]
+        return [Launch(self.source, "flexible_moved", self.n, arguments)]
 
     # -- values ------------------------------------------------------------------------------------------------------
 

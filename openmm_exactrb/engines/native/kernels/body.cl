@@ -11,7 +11,7 @@
 // forces and torques are zero.
 typedef struct {
     number R[3], P[3], q[4], L[3];
-    double F[3], T[3];
+    fine F[3], T[3];
     double inverse_mass, inverse_inertia[3];
     GLOBAL const double* constants;
 } Body;
@@ -45,8 +45,9 @@ typedef struct {
 #endif
 
 // Sum numbers over all threads of a body.
-DEVICE inline void sum_over_lanes(double* values, int n, SHARED_ARG shared) {
 #if LANES > 1
+typedef double of_lane;
+DEVICE inline void sum_over_lanes(double* values, int n, SHARED_ARG shared) {
     for (int k = 0; k < n; k++) {
         shared[LANE_ID] = values[k];
         SYNC_THREADS
@@ -58,8 +59,11 @@ DEVICE inline void sum_over_lanes(double* values, int n, SHARED_ARG shared) {
         values[k] = shared[0];
         SYNC_THREADS
     }
-#endif
 }
+#else
+typedef fine of_lane;
+#define sum_over_lanes(values, n, shared)
+#endif
 
 // The indices of a body in the tables: its particles, sites, masses and constants, from the row of its kind.
 typedef struct {
@@ -80,28 +84,23 @@ DEVICE inline Place place_of(int i, GLOBAL const int* kind, GLOBAL const int* ki
     return p;
 }
 
-// Rotate a site from the body frame to space by a rotation matrix.
-DEVICE inline void turned(const double* Q, GLOBAL const double* site, double* r) {
-    EACH(k, 3)
+// Rotate a site from the body frame to space by a rotation matrix, and add a cross product.
+#define TURN_SITE(Q, site, r) \
+    EACH(k, 3) \
         r[k] = Q[3*k]*site[0]+Q[3*k+1]*site[1]+Q[3*k+2]*site[2];
-}
-
-// Rotate a vector from space to the body frame. Components about axes without a moment of inertia become zero.
-DEVICE inline void in_body(const double* Q, const double* inverse_inertia, const double* v, double* u) {
-    EACH(k, 3)
-        u[k] = inverse_inertia[k] == 0.0 ? 0.0 : Q[k]*v[0]+Q[3+k]*v[1]+Q[6+k]*v[2];
-}
-
-DEVICE inline void add_cross(double* sum, const double* a, const double* b) {
+#define ADD_CROSS(sum, a, b) \
     sum[0] += a[1]*b[2]-a[2]*b[1]; sum[1] += a[2]*b[0]-a[0]*b[2]; sum[2] += a[0]*b[1]-a[1]*b[0];
-}
+// Rotate a vector from space to the body frame. Components about axes without a moment of inertia become zero.
+#define TURN_BACK(Q, inverse_inertia, v, u) \
+    EACH(k, 3) \
+        u[k] = inverse_inertia[k] == 0.0 ? 0 : Q[k]*v[0]+Q[3+k]*v[1]+Q[6+k]*v[2];
 
 // Compute the displacement e F/M of a body, and its orientation after a rotation by the vector e T/I.
-DEVICE inline void displaced(const Body* body, double e, const double* F, const double* T, double* arm, number* q) {
-    double v[3];
+DEVICE inline void displaced(const Body* body, fine e, const fine* F, const fine* T, fine* arm, number* q) {
+    fine v[3];
     EACH(k, 3) {
-        arm[k] = e*F[k]*body->inverse_mass;
-        v[k] = e*T[k]*body->inverse_inertia[k];
+        arm[k] = e*F[k]*REAL(body->inverse_mass);
+        v[k] = e*T[k]*REAL(body->inverse_inertia[k]);
     }
     EACH(k, 4)
         q[k] = body->q[k];

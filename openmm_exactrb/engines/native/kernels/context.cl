@@ -63,7 +63,12 @@ DEVICE inline void read_position(GLOBAL const real4* posq, GLOBAL const real4* p
 #endif
 }
 
-DEVICE inline void read_force(GLOBAL const component* force, int slot, double* f) {
+// Convert a number in fixed point. Conversions of 64 bits are as slow as operations in double precision.
+DEVICE inline fine from_fixed(mm_long x) {
+    return (fine) (int) (x>>32)+(fine) (unsigned int) x*REAL(1.0/4294967296.0);
+}
+
+DEVICE inline void read_force(GLOBAL const component* force, int slot, fine* f) {
     EACH(k, 3)
-        f[k] = (double) force[slot+k*PADDED_NUM_ATOMS]*(1.0/4294967296.0);
+        f[k] = from_fixed(force[slot+k*PADDED_NUM_ATOMS]);
 }

@@ -3,11 +3,20 @@
 #define FIXED_POINT 4294967296.0
 #define LARGEST_FORCE 1e9f
 typedef mm_ulong term_sum;
-#define OF_SUM(sum) ((double) (mm_long) (sum)*(1.0/FIXED_POINT))
+#define OF_SUM(sum) from_fixed((mm_long) (sum))
+
+// Convert to fixed point. In single precision, the whole part and the rest are converted to 32 bits; see `from_fixed`.
+DEVICE inline mm_long to_fixed(fine f) {
+    if (SINGLE) {
+        const fine whole = rint(f);
+        return (mm_long) (((mm_ulong) (unsigned int) (int) whole<<32)+2*(mm_long) (int) ((f-whole)*REAL(0.5*FIXED_POINT)));
+    }
+    return (mm_long) (f*(fine) FIXED_POINT);
+}
 
 // Add to a sum in local memory. On CUDA, which has no such instruction for 64 bits, the halves are added with a carry.
 DEVICE inline void add_to_sum(fine f, LOCAL_ARG term_sum* sum) {
-    const mm_long value = (mm_long) (f*(fine) FIXED_POINT);
+    const mm_long value = to_fixed(f);
 #ifdef __CUDA_ARCH__
     unsigned int* words = (unsigned int*) sum;
     const unsigned int low = (unsigned int) value, before = atomicAdd(words, low);

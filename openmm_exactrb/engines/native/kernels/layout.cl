@@ -1,6 +1,4 @@
-// Columns of the tables of flexible molecules, and the type `fine` (float or double) of the numbers of most terms.
-typedef FINE fine;
-#define NOT_A_NUMBER (0.0/0.0)
+// Columns of the tables of flexible molecules.
 
 // The columns of the table of moves.
 enum { OP, NUMBER_OF_MOVE, FIRST_NUMBER, NUMBERS_OF_MOVE, MOVE_ROW };

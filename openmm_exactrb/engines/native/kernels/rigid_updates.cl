@@ -15,21 +15,21 @@ KERNEL void pushed(CONTEXT, TABLES, STATE, GLOBAL number* P_to, GLOBAL number* L
         attitude(body.q, Q);
         EACH(k, 3)
             w[k] = body.L[k]*body.inverse_inertia[k];
-        EACH(k, 3)
-            u[k] = Q[3*k]*w[0]+Q[3*k+1]*w[1]+Q[3*k+2]*w[2];
+        TURN_SITE(Q, w, u)
         FOR_SITES {
+            GLOBAL const double* site = sites+3*(at.site+s*at.site_stride);
             const mixed4 now = velm[places[atoms[at.atom+s*at.atom_stride]].x];
             const double m = masses[at.mass+s];
             double r[3], v[3] = {body.P[0]*body.inverse_mass, body.P[1]*body.inverse_mass, body.P[2]*body.inverse_mass}, p[3];
-            turned(Q, sites+3*(at.site+s*at.site_stride), r);
-            add_cross(v, u, r);
+            TURN_SITE(Q, site, r)
+            ADD_CROSS(v, u, r)
             p[0] = m*(now.x-(mixed) v[0]); p[1] = m*(now.y-(mixed) v[1]); p[2] = m*(now.z-(mixed) v[2]);
             EACH(k, 3)
                 sums[k] += p[k];
-            add_cross(sums+3, r, p);
+            ADD_CROSS((sums+3), r, p)
         }
         sum_over_lanes(sums, 6, shared);
-        in_body(Q, body.inverse_inertia, sums+3, L);
+        TURN_BACK(Q, body.inverse_inertia, (sums+3), L)
         if (LANE_ID == 0) {
             double gain = 0.0;
             EACH(k, 3) {
@@ -54,8 +54,9 @@ KERNEL void moved(CONTEXT, TABLES, STATE) {
         double Q[9], sums[3] = {0.0, 0.0, 0.0};
         attitude(body.q, Q);
         FOR_SITES {
+            GLOBAL const double* site = sites+3*(at.site+s*at.site_stride);
             double r[3], x[3];
-            turned(Q, sites+3*(at.site+s*at.site_stride), r);
+            TURN_SITE(Q, site, r)
             read_position(posq, posqCorrection, places[atoms[at.atom+s*at.atom_stride]], box, x);
             EACH(k, 3)
                 sums[k] += masses[at.mass+s]*body.inverse_mass*(x[k]-body.R[k]-r[k]);
