@@ -34,14 +34,16 @@ def solvated(file: Path, **water) -> tuple[app.Topology, unit.Quantity]:
     return model.topology, model.positions
 
 
-def system_of(topology: app.Topology, force_field: tuple[str, ...] = FORCE_FIELD, **settings) -> openmm.System:
-    """Return a System with PME behind a switch and bonds to hydrogen held; `settings` are more of createSystem."""
+def system_of(
+    topology: app.Topology, force_field: tuple[str, ...] = FORCE_FIELD, constraints=app.HBonds, **settings
+) -> openmm.System:
+    """Return a System with PME behind a switch; `settings` are more of createSystem."""
     return app.ForceField(*force_field).createSystem(
         topology,
         nonbondedMethod=app.PME,
         nonbondedCutoff=0.85,
         switchDistance=0.75,
-        constraints=app.HBonds,
+        constraints=constraints,
         removeCMMotion=False,
         **settings,
     )

@@ -76,7 +76,7 @@ def of_water():
 
 def of_protein(name, platform):
     """Return the numbers of the parts in a force evaluation of a protein, its waters and its launches."""
-    system, positions = protein(name)
+    _, system, positions = protein(name)
     integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 5.0, 1e-3 * FS, "BAOA", engine="native", fast="bonded")
     context = openmm.Context(system, integrator, openmm.Platform.getPlatform(platform), {"Precision": "mixed"})
     context.setPositions(getattr(positions, "_value", positions))
