@@ -101,7 +101,7 @@ def of_proteins(engines):
     """Return integrators of a protein with heavy hydrogens, ours on each of the engines."""
     theirs = {"LangevinMiddle": (0.004, False), "LangevinMiddle AllBonds": (0.008, True)}
     kinds = {
-        name: Kind(partial(openmm.LangevinMiddleIntegrator, 300.0, 1.0, h), 1, h, "LangevinMiddle", all_bonds)
+        name: Kind(partial(openmm.LangevinMiddleIntegrator, 300.0, 5.0, h), 1, h, "LangevinMiddle", all_bonds)
         for name, (h, all_bonds) in theirs.items()
     }
     for (name, interval), engine in product({"BAOA": 0.008, "W2_3m": 0.008}.items(), engines):
@@ -305,16 +305,16 @@ class Sizes:
 
 
 TINY = Sizes(
-    ("peptide",),
-    {"villin": "peptide", "dhfr": "peptide"},
-    (64,),
-    (64,),
-    (64,),
-    ("peptide", "peptide:2x1x1"),
-    0.4,
-    0.8,
-    0.8,
-    10,
+    proteins=("peptide",),
+    long={"villin": "peptide", "dhfr": "peptide"},
+    water=(64,),
+    bodies=(64,),
+    dipoles=(64,),
+    single=("peptide", "peptide:2x1x1"),
+    short=0.4,
+    nanosecond=0.8,
+    ten_nanoseconds=0.8,
+    samples=10,
 )
 
 

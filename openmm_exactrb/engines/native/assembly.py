@@ -82,7 +82,7 @@ class Assembly:
         molecules = [FlexiblePart(some, demands, prefix) for some, prefix in zip(flexible, prefixes, strict=False)]
         others = np.concatenate([np.zeros(0, int), *(part.bodies for part in molecules)])
         self.parts: list[RigidPart | FlexiblePart] = [*molecules, *parts_of(bodies, demands, others)]
-        if not pairs:
+        if single:  # otherwise a thread of the joined kernel needs more registers than it has
             joined(self.parts)
         self.program = to = Program()
         to.scalars |= {"turn": 0.0, "key": 0.0, "hottest": 0.0, "removes": 0.0, "enough": self._enough}
