@@ -302,7 +302,7 @@ def results(folder: Path) -> Iterator[dict[str, Any]]:
             yield {
                 **{"kind": kind, "seed": seed, "windows": len(WINDOWS), "picoseconds": some[0]["picoseconds"]},
                 **{name: f"{value:.5g}" for name, value in found._asdict().items()},
-                **{name: f"{value:.6g}" for name, value in sums.items()},
+                **{name: f"{value:.10g}" for name, value in sums.items()},
                 "density": f"{np.mean([float(row['density']) for row in some]):.6g}",
                 **{name: " ".join(dict.fromkeys(row[name] for row in some)) for name in OF_RUN},
             }

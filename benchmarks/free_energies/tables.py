@@ -12,6 +12,12 @@ from benchmarks.common.records import RECORDS, Row, read
 
 ANGLES = ("phi", "psi")
 BELOW = 15.0  # kJ/mol up to which profiles are compared
+LABELS = {
+    "2fs": "`LangevinMiddleIntegrator`, 2 fs, `HBonds`",
+    "4fs": "`LangevinMiddleIntegrator`, 4 fs, `HBonds`",
+    "8fs AllBonds": "`LangevinMiddleIntegrator`, 8 fs, `AllBonds`",
+    "BAOA 8fs": "`BAOA`, 8 fs, `HBonds`",
+}
 
 
 def hydration(record: Path = RECORDS / "hydration.csv") -> str:
@@ -28,7 +34,7 @@ def _hydration(kind: str, rows: list[Row]) -> list[str]:
     n, ns = len(rows), 0.001 * sum(float(row["simulated"]) for row in rows)
     failures, forces = (sum(int(row[name]) for row in rows) for name in ("failures", "forces"))
     return [
-        *(kind, f"{n}", with_error(values.mean(), math.sqrt(np.square(errors).sum()) / n, 2)),
+        *(LABELS.get(kind, kind), f"{n}", with_error(values.mean(), math.sqrt(np.square(errors).sum()) / n, 2)),
         f"± {values.std(ddof=1) / math.sqrt(n):.2f}" if n > 1 else "",
         f"{min(float(row['overlap']) for row in rows):.2f}",
         *(f"{ns:.2f}", f"{failures} of {failures + sum(int(row['windows']) for row in rows)}", f"{forces / ns:.0f}"),

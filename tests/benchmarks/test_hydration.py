@@ -7,7 +7,8 @@ import numpy as np
 import openmm
 import pytest
 
-from benchmarks.common.records import write
+from benchmarks.common.markdown import with_error
+from benchmarks.common.records import DOCS, RECORDS, read, write
 from benchmarks.common.starts import R, context_of
 from benchmarks.free_energies import hydration
 from benchmarks.free_energies.hydration import KELVIN, KINDS, WINDOWS
@@ -105,3 +106,16 @@ def test_mbar_finds_the_free_energy_of_oscillators():
     assert abs(found.value - expected) < 4.0 * found.error
     assert 0.001 < found.error < 0.02
     assert 0.1 < found.overlap < 0.5
+
+
+def test_the_deciding_page_quotes_the_record():
+    rows = {row["kind"]: row for row in read(RECORDS / "hydration.csv")}
+    page = " ".join((DOCS / "which.md").read_text(encoding="utf-8").split())
+    values = {kind: with_error(float(row["value"]), float(row["error"]), 2) for kind, row in rows.items()}
+    assert f"from one seed, is {values['BAOA 8fs']} kcal/mol [at 8 fs]" in page
+    assert f"and {values['2fs']} kcal/mol with `LangevinMiddleIntegrator` at 2 fs" in page
+    share = float(rows["BAOA 8fs"]["forces"]) / float(rows["4fs"]["forces"])
+    assert f"there are {share:.2f} times as many force evaluations as at 4 fs" in page
+    started = {kind: 12 + int(row["failures"]) for kind, row in rows.items()}
+    assert f"12 of {started['BAOA 8fs']} runs of 220 ps ended" in page
+    assert f"`AllBonds` at 8 fs, 12 of {started['8fs AllBonds']} did" in page
