@@ -14,13 +14,13 @@ from typing import Any
 import mdtraj
 import numpy as np
 import openmm
-from openmm import app, unit
+from openmm import app
 
 import openmm_exactrb as rb
 from benchmarks.common.records import Record
+from benchmarks.common.starts import R, masses_of
 from benchmarks.device.device_drift import Energies, slopes
 
-KB = (unit.MOLAR_GAS_CONSTANT_R).value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
 COLUMNS = ("system", "precision", "platform", "integrator", "fs"), ("ps", "of ps", "ns/day", "ended", "results")
 
 
@@ -116,7 +116,7 @@ class ProteinSamples:
     def __init__(self, topology: app.Topology, system: openmm.System, positions: np.ndarray) -> None:
         waters = (residue for residue in topology.residues() if residue.name in ("HOH", "WAT"))
         water = [atom.index for residue in waters for atom in residue.atoms()]
-        self._mass = mass = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
+        self._mass = mass = masses_of(system)
         is_water = np.isin(np.arange(len(mass)), water)
         self._parts = [(mass > 0.0) & (is_water == wanted) for wanted in (False, True)]
         first = [system.getConstraintParameters(k)[0] for k in range(system.getNumConstraints())]
@@ -139,7 +139,7 @@ class ProteinSamples:
             context.setVelocities(before)
         twice = self._mass * (v * v).sum(axis=1)
         of_parts = zip(self._parts, self._freedom, strict=True)
-        return [twice[part].sum() / (KB * n) if n else np.nan for part, n in of_parts]
+        return [twice[part].sum() / (R * n) if n else np.nan for part, n in of_parts]
 
     def __call__(self, context: Any) -> np.ndarray:
         """Return temperatures of solute and water (K), the energy (kJ/mol), the RMSD (nm) and the share of helix."""

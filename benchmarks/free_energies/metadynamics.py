@@ -32,10 +32,11 @@ from benchmarks.common.records import RECORDS, write
 from benchmarks.common.starts import R
 from benchmarks.common.structure import backbone
 from benchmarks.free_energies.tables import ANGLES, metadynamics
-from benchmarks.proteins.peptide_populations import with_native_solvent
+from benchmarks.proteins.peptide_populations import integrator_of, with_native_solvent
+from benchmarks.proteins.protein_steps import TEMPERATURE
 from openmm_exactrb.support.files import written_whole
 
-KELVIN, FRICTION = 300.0, 5.0
+KELVIN, FRICTION = TEMPERATURE, 5.0
 WIDTH, HEIGHT, FACTOR, EVERY = 0.35, 1.0, 8.0, 0.96  # of a Gaussian: rad, kJ/mol; bias factor; ps between two
 ESTIMATES = 10  # of the free energy, in the second half of a run
 BINS = 24  # of a profile
@@ -70,18 +71,6 @@ def system_of() -> tuple[app.Topology, openmm.System, unit.Quantity]:
     return content.topology, system, content.positions
 
 
-def integrator_of(kind: Kind, seed: int) -> openmm.Integrator:
-    """Return the integrator of a kind."""
-    if kind.integrator == "LangevinMiddle":
-        integrator = openmm.LangevinMiddleIntegrator(KELVIN, FRICTION, 0.001 * kind.fs)
-    else:
-        integrator = rb.ExactRigidBodyLangevinIntegrator(
-            KELVIN, FRICTION, forceInterval=0.001 * kind.fs, scheme=kind.integrator
-        )
-    integrator.setRandomNumberSeed(seed)
-    return integrator
-
-
 def variable(atoms: tuple[int, ...]) -> app.BiasVariable:
     """Return a torsion as a variable."""
     angle = openmm.CustomTorsionForce("theta")
@@ -93,7 +82,8 @@ def free_energy(kind: Kind, seed: int, forces: int) -> np.ndarray:
     """Return the free energy (psi, phi) in kJ/mol that a run with so many forces finds."""
     topology, system, positions = system_of()
     torsions = backbone(topology)
-    integrator = integrator_of(kind, seed)
+    integrator = integrator_of(kind.integrator, 0.001 * kind.fs, FRICTION)
+    integrator.setRandomNumberSeed(seed)
     step = integrator.getStepSize()._value
     bias = app.Metadynamics(
         system, [variable(torsions[name]) for name in ANGLES], KELVIN, FACTOR, HEIGHT, round(EVERY / step)

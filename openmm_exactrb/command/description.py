@@ -32,9 +32,8 @@ from openmm_exactrb.tuning.floor import causes
 _SHOWN = 3  # largest number of periods that are printed
 _WATER = 18.015  # mass of a water molecule in amu
 _LIGHTEST = 2.9  # mass in amu above which hydrogens are heavy enough for a force evaluation every 8 fs
-_STABLE = (
-    1.6  # step times frequency of an isolated bond, above which OpenMM's integrators are unstable: 2 if not coupled
-)
+# Step times frequency of an isolated bond above which OpenMM's integrators are unstable; 2 if bonds were not coupled.
+_STABLE = 1.6
 _THEIRS = "openmm.LangevinMiddleIntegrator(300*kelvin, 5/picosecond, {}*femtoseconds)"
 
 #: The schemes for proteins in water at constant temperature: the default, and one with the temperatures of water.
