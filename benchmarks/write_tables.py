@@ -28,13 +28,7 @@ from benchmarks.proteins import tables as of_proteins
 from benchmarks.schemes import tables as of_schemes
 from benchmarks.water import corrected_water, droplet_averages, tip4p2005
 from benchmarks.water import tables as of_water
-from benchmarks.water.equipartition_record import (
-    RECORD,
-    over_frictions,
-    over_models,
-    over_steps,
-    read,
-)
+from benchmarks.water.equipartition_record import RECORD, over_frictions, over_steps, read
 
 #: The modules whose functions return tables.
 _MODULES: tuple[ModuleType, ...] = (
@@ -68,13 +62,9 @@ def made(name: str) -> str:
 
 def _equipartition() -> Iterator[tuple[str, str]]:
     record = read(RECORD)
-    for model in ("spce", "tip4p2005"):
-        yield f"{model}_temperatures", over_steps(record, "T_rot - T_tr", model, "NVT")
-        yield f"{model}_temperatures_at_pressure", over_steps(record, "T_rot - T_tr", model, "NPT")
-        yield f"{model}_energies", over_steps(record, "U", model, "NVT")
-        yield f"{model}_densities", over_steps(record, "density", model, "NPT")
-        yield f"{model}_frictions", over_frictions(record, model, 6.0)
-    yield "equipartition_models", over_models(record)
+    yield "spce_temperatures", over_steps(record, "T_rot - T_tr", "spce", "NVT")
+    yield "spce_energies", over_steps(record, "U", "spce", "NVT")
+    yield "spce_frictions", over_frictions(record, "spce", 6.0)
 
 
 def pages() -> list[Path]:

@@ -14,10 +14,10 @@ from benchmarks.water.equipartition_record import (
     MEASURED,
     RECORD,
     Run,
+    denser,
     less,
     merge,
     over_frictions,
-    over_models,
     over_steps,
     points,
     read,
@@ -163,9 +163,14 @@ def test_w2_3_is_as_dense_as_the_pages_say(interval, percent):
 
 
 def test_densities_of_four_models_at_4_fs_are_as_the_pages_say():
-    differences = [row.split("|")[-2].replace("−", "-").split(" ± ") for row in over_models(read(RECORD)).splitlines()]
-    values, errors = np.array([difference for difference in differences if len(difference) == 2], dtype=float).T
-    assert len(values) == 4
+    differences = denser(read(RECORD))
+    assert [*differences] == ["SPC/E", "TIP4P/2005", "TIP3P", "TIP4P-Ew"]
+    values, errors = np.array([difference for difference, _ in differences.values()]).T
     assert np.abs(values).max() < 0.1
     page = " ".join((DOCS / "how-to/barostat.md").read_text(encoding="utf-8").split())
-    assert f"within 0.1 %, and errors of {errors.min():g} to {errors.max():g} %" in page
+    assert f"within 0.1 %, and errors of {errors.min():.2f} to {errors.max():.2f} %" in page
+    study = " ".join((ROOT / STUDY).read_text(encoding="utf-8").split())
+    spce, tip4p2005, tip3p, tip4pew = (with_error(*difference, 2) for difference, _ in differences.values())
+    assert [step for _, step in differences.values()] == [0.5, 0.5, 1.0, 1.0]
+    assert f"at 0.5 fs by {spce} % (SPC/E) and {tip4p2005} % (TIP4P/2005), and that at 1 fs by {tip3p} %" in study
+    assert f"(TIP3P) and {tip4pew} % (TIP4P-Ew)" in study
