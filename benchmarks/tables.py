@@ -20,13 +20,13 @@ THEIRS = {"Verlet": "`VerletIntegrator`", LFM: "`LangevinMiddleIntegrator`"}
 
 def scheme_table() -> str:
     """Return the catalogue of schemes whose change of the angular momentum is in the record."""
-    of_a_step = ("orders", "forces per step", "more per call", "starts with", "kind", "stable step per force")
+    of_a_step = ("orders", "forces per step", "more per call", "stable step per force")
     changes, body = {row["scheme"]: row["change"] for row in rows("angular_momentum")}, []
     for name, scheme in ((name, scheme) for name, scheme in CATALOGUE.items() if name in changes):
         orders = ", ".join(map(str, scheme.generalised or (scheme.order,)))
         stable = stability_limit(scheme) / scheme.forces
         more = scheme.output_forces if scheme.processor else int(scheme.first == "kick")
-        numbers = (f"{scheme.forces}", f"{more}", scheme.first, scheme.kind, f"{stable:.2f}", changes[name])
+        numbers = (f"{scheme.forces}", f"{more}", f"{stable:.2f}", changes[name])
         body.append((f"`{name}`", orders, *numbers))
     return table(("name", *of_a_step, "change of L"), body)
 
