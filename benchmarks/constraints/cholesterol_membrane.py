@@ -6,8 +6,8 @@ temperatures (doi:10.1021/acs.jpcb.1c03665, doi:10.1021/acs.jctc.2c01032). The s
 constant temperature and with a MonteCarloMembraneBarostat, with OpenMM's LangevinMiddleIntegrator, without and with the
 dummy torsions of OpenMM's issue 3603.
 
-The rows of LINCS quote the results of doi:10.1021/acs.jpcb.1c03665. Runs of DPPC alone (--composition DPPC --per-side
-6) measure the area per lipid and the order parameter, which are known from experiments.
+Runs of DPPC alone (--composition DPPC --per-side 6) measure the area per lipid and the order parameter, which are known
+from experiments.
 
 Samples are written every 0.12 ps to CSV files in out/benchmarks/cholesterol_membrane, next to checkpoints, so that the
 same command resumes an interrupted run. --table prints the averages of these files and writes records/cholesterol.csv
@@ -39,11 +39,6 @@ TABLES = {"DPPC-CHOL": RECORDS / "cholesterol.csv", "DPPC": RECORDS / "dppc.csv"
 HEADS = {1: "T of cholesterol, K", 2: "T of lipids, K", 3: "T of water, K", 4: "area a lipid, nm²", 5: "order of tails"}
 #: Columns of samples in the tables: with cholesterol the area rises for nanoseconds, and is not shown.
 SHOWN = {"DPPC-CHOL": (1, 2, 3), "DPPC": (2, 3, 4, 5)}
-PUBLISHED = (
-    ("LINCS, defaults (published)", "20, 30", "", *3 * ["unequal"], "not converged"),
-    ("LINCS, lincs_iter 2, lincs_order 12 (published)", 20, "", *3 * ["equal"], "converged"),
-    ("LINCS, lincs_iter 3, lincs_order 12 (published)", 30, "", *3 * ["equal"], "converged"),
-)
 #: Samples that are left out, in ps, and blocks of the error.
 BURN_IN, BLOCKS = {"DPPC-CHOL": 12.0, "DPPC": 4000.0}, 10
 
@@ -211,9 +206,8 @@ def tabulate(composition, folder):
     """Write the table of a composition from the samples."""
     heads = (HEADS[column] for column in SHOWN[composition])
     lines = [line_of(composition, method, step, folder) for method, step in itertools.product(METHODS, (20, 30))]
-    lines = [line for line in lines if line] + list(PUBLISHED) * (composition == "DPPC-CHOL")
     columns = ("integrator", "step, fs", "length, ps", *heads, "largest constraint error, nm")
-    write(TABLES[composition], columns, lines)
+    write(TABLES[composition], columns, [line for line in lines if line])
     print(TABLES[composition].read_text())
 
 
