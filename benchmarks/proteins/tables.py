@@ -1,4 +1,4 @@
-"""Tables of peptide.py and inner_energies.py."""
+"""Tables of peptide.py, rigid_domains.py and inner_energies.py."""
 
 from __future__ import annotations
 
@@ -36,6 +36,17 @@ def peptide_errors() -> str:
 def _both(*errors: str) -> str:
     numbers = [float(error) for error in errors]
     return "diverges" if max(numbers) > 1e3 else ", ".join(f"{number:.2g}" for number in numbers)
+
+
+def rigid_domains() -> str:
+    """Return the energy errors and drifts of a chain with rigid domains, by the time between two force evaluations."""
+    found, body = rows("rigid_domains"), []
+    kinds = distinct(found, "bodies", "scheme")
+    for (fs,) in distinct(found, "interval_fs"):
+        of = {(row["bodies"], row["scheme"]): row for row in found if row["interval_fs"] == fs}
+        pairs = ((of[kind]["rms_kJ_per_mol"], of[kind]["drift_kJ_per_mol_ps"]) for kind in kinds)
+        body.append((fs, *(", ".join(filter(None, pair)) for pair in pairs)))
+    return table(("fs", *(f"`{bodies}`, {scheme}" for bodies, scheme in kinds)), body)
 
 
 def inner_steps() -> str:
