@@ -126,27 +126,55 @@ def default_temperatures() -> str:
     return table(("peptide", "", "", *units), body)
 
 
+#: Integrators, fs and constraints of a peptide with heavy hydrogens that are compared: the reference, and equal costs.
+_EQUAL = (
+    *((LFM, "2.0", "HBonds"), (LFM, "8.0", "AllBonds")),
+    *(("BAOA", "8.0", "HBonds"), ("W2_3m", "8.0", "HBonds")),
+)
+
+
 def protein_steps() -> str:
     """Return temperatures and energies of a peptide in water by masses, integrator and time per force evaluation."""
-    return _steps("peptide")
+    body = []
+    names = {"T_tr": 1, "T_rot": 1, "T_solute": 1, "U": 2}
+    keys = ("masses", "fs", "constraints", "ensemble", "friction", "integrator", "picoseconds")
+    found = [row for row in rows("protein_steps") if row["solute"] == "peptide"]
+    for point in sorted(distinct(found, *keys), key=lambda key: (key[0] != "plain", float(key[1]), *key[2:])):
+        some = [row for row in found if tuple(row[key] for key in keys) == point]
+        masses, fs, constraints, ensemble, friction, integrator, length = point
+        of_defaults = masses == "plain" and integrator != "W2_3m"
+        of_limit = masses == "all" and integrator == "W2_3m" and float(fs) < 8.0
+        compared = (masses, ensemble, friction) == ("all", "NVT", "5.0") and (integrator, fs, constraints) in _EQUAL
+        if len(some) < 2 or of_defaults or of_limit or compared:  # no error, or shown elsewhere
+            continue
+        scheme, _, platform = integrator.partition(" ")
+        how = [*([constraints] if constraints != "HBonds" else []), *(["1 bar"] if ensemble == "NPT" else [])]
+        of_all, *of_solute = (f"{float(part):g}/ps" for part in friction.split(":"))
+        how += [of_all] if friction != "5.0" else []
+        how += [f"solute {part}" for part in of_solute]
+        how += [f"native engine ({platform})"] if platform else []
+        label = ", ".join([THEIRS.get(scheme, f"`{scheme}`"), *how])
+        cells = (mean_of(some, name, digits) for name, digits in names.items())
+        length = f"{len(some)} x {float(length):g} ps"
+        body.append(({"plain": "none"}.get(masses, masses), f"{float(fs):g} fs", label, length, *cells))
+    units = (f"{name} (K)" if name.startswith("T_") else name for name in names)
+    return table(("hydrogens of 3 amu", "", "", "", *units), body)
 
 
-def protein_limits() -> str:
-    """Return, of the same with heavy hydrogens, lines in the square of the time per force evaluation."""
+def protein_limits() -> dict[str, tuple[tuple[float, float], tuple[float, float]]]:
+    """Return, of the same with heavy hydrogens, lines in the square of the time per force evaluation.
+
+    By name, they are the limit at zero and the change up to 8 fs, each with its error.
+    """
     of_point = {"solute": "peptide", "masses": "all", "constraints": "HBonds", "friction": "5.0", "ensemble": "NVT"}
     found = [row for row in rows("protein_steps") if all(row[key] == value for key, value in of_point.items())]
-    ours, theirs = (
-        [[row for row in found if (row["integrator"], row["fs"]) == (method, fs)] for fs in steps]
-        for method, steps in (("W2_3m", ("4.0", "6.0", "8.0")), (LFM, ("2.0",)))
-    )
-    units = {"T_tr": "K", "T_rot": "K", "T_solute": "K", "U": "kJ/mol", "bonds": "kJ/mol", "angles": "kJ/mol"}
-    body = []
-    for name, of_name in (units | {"torsions": "kJ/mol", "peak": "", "D": "1e-5 cm²/s"}).items():
-        digits = 1 if of_name == "K" else 2
-        limit, change, errors = _line([[float(row[name]) for row in runs] for runs in ours], (16.0, 36.0, 64.0), 64.0)
-        cells = with_error(limit, errors[0], digits), with_error(change, errors[1], digits + 1)
-        body.append((f"{name} ({of_name})".replace(" ()", ""), *cells, mean_of(theirs[0], name, digits)))
-    return table(("", "limit", "change at 8 fs", f"{THEIRS[LFM]}, 2 fs"), body)
+    runs = [[row for row in found if (row["integrator"], row["fs"]) == ("W2_3m", fs)] for fs in ("4.0", "6.0", "8.0")]
+    names = ("T_tr", "T_rot", "T_solute", "U", "bonds", "angles", "torsions", "peak", "D")
+    lines = (_line([[float(row[name]) for row in some] for some in runs], (16.0, 36.0, 64.0), 64.0) for name in names)
+    return {
+        name: ((limit, errors[0]), (change, errors[1]))
+        for name, (limit, change, errors) in zip(names, lines, strict=True)
+    }
 
 
 def _line(runs: list[list[float]], squares: tuple[float, ...], at: float) -> tuple[float, float, list[float]]:
@@ -170,23 +198,17 @@ def heating() -> str:
         mean, error = float(power.mean()), float(power.std(ddof=1) / np.sqrt(len(power)))
         per_friction = 1.0 / (int(some[0]["freedom"]) * R)
         excess = (with_error(mean * per_friction / g, error * per_friction / g, 1) for g in (1.0, 5.0))
-        body.append((f"`{scheme}`", f"{fs} fs", f"{len(some)} x 3 ps", with_error(mean, error, 0), *excess))
-    return table(("", "", "", "power (kJ/mol/ps)", "excess (K) at 1/ps", "at 5/ps"), body)
-
-
-def villin_steps() -> str:
-    """Return the same of a protein."""
-    return _steps("villin")
+        body.append((f"`{scheme}`", f"{fs} fs", with_error(mean, error, 0), *excess))
+    return table(("", "", "power (kJ/mol/ps)", "excess (K) at 1/ps", "at 5/ps"), body)
 
 
 def equal_protein_costs() -> str:
     """Return how many runs of a peptide with heavy hydrogens ended, and their temperatures and potential energies."""
     of_point = {"solute": "peptide", "masses": "all", "friction": "5.0", "ensemble": "NVT"}
     found = [row for row in rows("protein_steps") if all(row[key] == value for key, value in of_point.items())]
-    names = {"T_rot": 1, "T_rot reported": 1, "T_solute": 1, "T_solute reported": 1, "U": 2}
+    names = {"T_tr": 1, "T_rot": 1, "T_rot reported": 1, "T_solute": 1, "T_solute reported": 1, "U": 2}
     body = []
-    theirs = (LFM, "2.0", "HBonds"), (LFM, "8.0", "AllBonds")
-    for method, fs, constraints in (*theirs, ("BAOA", "8.0", "HBonds"), ("W2_3m", "8.0", "HBonds")):
+    for method, fs, constraints in _EQUAL:
         some = [row for row in found if (row["integrator"], row["fs"], row["constraints"]) == (method, fs, constraints)]
         label = f"{THEIRS.get(method, f'`{method}`')}, {float(fs):g} fs, `{constraints}`"
         body.append((label, ended(some), *(mean_of(some, *column) for column in names.items())))
@@ -201,47 +223,18 @@ def ended(some: list[Row]) -> str:
     return f"{whole} of {len(some)} runs of {lengths.pop():g} ps"
 
 
-def _steps(solute: str) -> str:
-    body = []
-    names = {"T_tr": 1, "T_rot": 1, "T_rot reported": 1, "T_solute": 1, "U": 2, "bonds": 1, "angles": 1, "torsions": 1}
-    keys = ("masses", "fs", "constraints", "ensemble", "friction", "integrator", "picoseconds")
-    found = [row for row in rows("protein_steps") if row["solute"] == solute]
-    for point in sorted(distinct(found, *keys), key=lambda key: (key[0] != "plain", float(key[1]), *key[2:])):
-        some = [row for row in found if tuple(row[key] for key in keys) == point]
-        masses, fs, constraints, ensemble, friction, integrator, length = point
-        of_defaults = masses == "plain" and integrator != "W2_3m" and (integrator, fs) != (LFM, "2.0")
-        if len(some) < 2 or of_defaults:  # no error, or for another table
-            continue
-        scheme, _, platform = integrator.partition(" ")
-        how = [*([constraints] if constraints != "HBonds" else []), *(["1 bar"] if ensemble == "NPT" else [])]
-        of_all, *of_solute = (f"{float(part):g}/ps" for part in friction.split(":"))
-        how += [of_all] if friction != "5.0" else []
-        how += [f"solute {part}" for part in of_solute]
-        how += [f"native engine ({platform})"] if platform else []
-        label = ", ".join([THEIRS.get(scheme, f"`{scheme}`"), *how])
-        # Constrained bonds have no energy.
-        unknown = set() if constraints == "HBonds" else {"bonds"}
-        cells = ("" if name in unknown else mean_of(some, name, digits) for name, digits in names.items())
-        length = f"{len(some)} x {float(length):g} ps"
-        body.append(({"plain": "none"}.get(masses, masses), f"{float(fs):g} fs", label, length, *cells))
-    units = (f"{name} (K)" if name.startswith("T_") else name for name in names)
-    return table(("hydrogens of 3 amu", "", "", "", *units), body)
-
-
-def populations() -> str:
-    """Return dihedral populations, temperatures and energies of a peptide in implicit solvent."""
-    names, body = {"helical": 3, "left": 3, "T": 2, "bonds": 2, "angles": 2, "torsions": 2}, []
-    found = rows("peptide_populations")
-    for point in distinct(found, "integrator", "fs"):
-        some = [row for row in found if (row["integrator"], row["fs"]) == point]
-        integrator, fs = point
-        cells = []
-        for name, digits in names.items():
-            values, errors = ([float(row[column]) for row in some] for column in (name, f"{name} error"))
-            cells.append(with_error(float(np.mean(values)), float(np.hypot.reduce(errors)) / len(some), digits))
-        length = f"{sum(float(row['nanoseconds']) for row in some):g} ns"
-        body.append((THEIRS.get(integrator, f"`{integrator}`"), f"{float(fs):g} fs", length, *cells))
-    return table(("", "", "", "helical", "left", "T (K)", "bonds", "angles", "torsions"), body)
+def populations() -> dict[str, dict[str, str]]:
+    """Return dihedral populations and the energy of bonds of a peptide in implicit solvent, by integrator and name."""
+    names = {"helical": 3, "left": 3, "bonds": 2}
+    found, means = rows("peptide_populations"), {}
+    for (integrator,) in distinct(found, "integrator"):
+        some = [row for row in found if row["integrator"] == integrator]
+        values = {name: [[float(row[column]) for row in some] for column in (name, f"{name} error")] for name in names}
+        means[integrator] = {
+            name: with_error(float(np.mean(of)), float(np.hypot.reduce(errors)) / len(some), names[name])
+            for name, (of, errors) in values.items()
+        }
+    return means
 
 
 def mean_of(some: list[Row], name: str, digits: int) -> str:

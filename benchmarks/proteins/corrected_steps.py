@@ -44,13 +44,8 @@ POINTS = [
 ]
 OF_ALL = {"solute": "peptide", "constraints": "HBonds", "friction": "5.0"}
 AVERAGES = ("U", *protein_steps.KINDS, "density", "pressure")
-LABELS = {
-    "U": "U (kJ/mol per water)",
-    "bonds": "bonds (kJ/mol)",
-    "angles": "angles (kJ/mol)",
-    "torsions": "torsions (kJ/mol)",
-    "density": "density (kg/m³)",
-}
+#: Averages of the table.
+LABELS = {"U": "U (kJ/mol per water)", "density": "density (kg/m³)"}
 HELD = {"NVT": "constant volume", "NPT": "1 bar"}
 #: Integrators and fs of the table, as they are or corrected.
 SHOWN = [("LangevinMiddle", "2.0", False), ("W2_3m", "8.0", False), ("W2_3m", "8.0", True), ("W2_3m", "4.0", True)]
@@ -109,7 +104,7 @@ def corrected_steps() -> str:
     """Return the averages of records/protein_steps.csv, as they are and corrected, as a table of a page."""
     known = {(row["integrator"], row["masses"], row["fs"], row["ensemble"]): row for row in RECORD.rows().values()}
     runs, body = [*protein_steps.record_of(RECORDS / "protein_steps.csv").rows().values()], []
-    for (ensemble, held), name in product(HELD.items(), AVERAGES[:-1]):
+    for (ensemble, held), name in product(HELD.items(), LABELS):
         cells = []
         for integrator, fs, corrected in SHOWN:
             row = known.get((integrator, "all", fs, ensemble))

@@ -14,6 +14,8 @@ _PEPTIDE = {
 }
 
 
+#: Inner steps of a drift that are in the table: S2_2, and the defaults.
+_SHOWN = ("S2_2:2", "b=0.198:2", "S2_4:2")
 # The drifts of bodies with inner steps, as fractions of a step.
 _DRIFTS = {"BAOA": (0.5, 0.5), "W2_3m": (0.135, 0.365, 0.365, 0.135)}
 
@@ -53,9 +55,9 @@ def inner_steps() -> str:
     """Return by how many percent mean energies differ from those with many inner steps."""
     body = []
     for (solute, _, integrator, _, friction), inner, runs, changes in deviations(rows("inner_energies")):
-        if friction == "0.0" or len(runs) < 2:
-            continue
         name, steps = inner.split(":")
+        if friction == "0.0" or len(runs) < 2 or inner not in _SHOWN:
+            continue
         splitting = inner_of(name)
         evaluations = splitting.stages * sum(max(1, round(int(steps) * part)) for part in _DRIFTS[integrator])
         label = f"`S2_2` with {name.replace('=', ' = ')}" if "=" in name else f"`{name}`"

@@ -1,12 +1,15 @@
 """Figures of the pages follow from the records of benchmarks, in benchmarks/records."""
 
+import math
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import openmm_exactrb as rb
 from benchmarks import tables, write_tables
+from benchmarks.common.markdown import with_error
 from benchmarks.dipoles.tables import dipole_memory, droplet_gains
 from benchmarks.water.tables import costs_of_settings, reading_points
 
@@ -99,18 +102,38 @@ def test_figures_have_two_digits_and_one_below_one(value, text):
 
 def test_figures_of_the_protein_tutorial_are_those_of_the_records():
     measured = page("docs/explanation/any-molecule.md")
-    for row in tables.populations().splitlines()[2:]:
-        assert row.split("|")[4].strip() in measured
-    (villin,) = [row for row in tables.villin_steps().splitlines() if "| `W2_3m` |" in row]
-    temperature = villin.split("|")[8].strip()
+    theirs, ours = tables.populations().values()
+    assert f"is {ours['helical']} with `W2_3m` at 8 fs, and {theirs['helical']} with" in measured
+    assert f"their population, {ours['left']} and {theirs['left']}, to be determined" in measured
+    assert f"The energies of bonds are {ours['bonds']} and {theirs['bonds']} kJ/mol" in measured
+    villin = [run for run in tables.rows("protein_steps") if run["solute"] == "villin"]
+    at_8_fs, at_4_fs = (
+        [run for run in villin if (run["integrator"], run["fs"], run["friction"]) == (integrator, fs, "5.0")]
+        for integrator, fs in (("W2_3m", "8.0"), ("LangevinMiddle", "4.0"))
+    )
+    assert tables.ended(at_8_fs) == "9 of 9 runs of 100 ps"
+    temperature = tables.mean_of(at_8_fs, "T_solute", 1)
     assert f"The temperature of villin in water is {temperature} K, the mean of nine runs" in measured
-    assert villin.split("|")[4].strip() == "9 x 100 ps"
+    energies = (tables.mean_of(some, "U", 2) for some in (at_8_fs, at_4_fs))
+    assert "For villin it is {} kJ/mol, and {} kJ/mol with".format(*energies) in measured
     for integrator, fs in (("W2_3m", "8.0"), ("W2_3m", "4.0"), ("LangevinMiddle", "2.0")):
         runs = tables.rows("protein_steps")
         at_pressure = [
             run for run in runs if (run["integrator"], run["fs"], run["ensemble"]) == (integrator, fs, "NPT")
         ]
         assert f"{tables.mean_of(at_pressure, 'density', 1)} kg/m³ in" in measured
+
+
+def test_averages_at_long_steps_agree_with_those_of_openmm_in_the_limit_of_short_steps():
+    of_point = {"integrator": "LangevinMiddle", "fs": "2.0", "solute": "peptide", "masses": "all", "ensemble": "NVT"}
+    theirs = [row for row in tables.rows("protein_steps") if of_point.items() <= row.items()]
+    limits = tables.protein_limits()
+    for name, ((limit, error), _) in limits.items():
+        values = np.array([float(row[name]) for row in theirs])
+        assert abs(limit - values.mean()) < 2.0 * math.hypot(error, values.std(ddof=1) / math.sqrt(len(values))), name
+    hotter, higher = (with_error(*limits[name][1], digits) for name, digits in (("T_solute", 2), ("U", 3)))
+    words = f"the peptide increases by {hotter} K, and the potential energy by {higher} kJ/mol"
+    assert words in page("docs/explanation/any-molecule.md")
 
 
 def test_the_gain_of_dipoles_is_that_of_the_record():
