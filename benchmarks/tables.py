@@ -86,25 +86,17 @@ def outputs() -> str:
     found, body = rows("outputs"), []
     for scheme, rate in distinct(found, "scheme", "forces per ps"):
         some = [row for row in found if (row["scheme"], row["forces per ps"]) == (scheme, rate)]
-        asked, verlet, inverse, output = (
-            np.array([float(row[name]) for row in some]) for name in ("asked per step", "Verlet", "inverse", "output")
-        )
+        inverse, output = (np.array([float(row[name]) for row in some]) for name in ("inverse", "output"))
         ratios, shifts = output / inverse, [abs(float(row[name])) for row in some for name in ("shift tr", "shift rot")]
         body.append(
             (
                 f"`{scheme}`",
-                rate,
-                f"{len(some)}",
-                f"{asked.mean():.2f}",
-                *(f"{values.mean():.2g}" for values in (verlet, inverse, output)),
+                *(f"{values.mean():.2g}" for values in (inverse, output)),
                 f"{output.mean() / inverse.mean():.2f} ({ratios.min():.2f} to {ratios.max():.2f})",
                 f"{max(shifts):.2f}",
             )
         )
-    head = (
-        *("", "forces per ps", "starts", "forces per step", "Verlet", "exact inverse", "output"),
-        *("output over inverse", "largest shift of a kinetic energy"),
-    )
+    head = ("", "exact inverse", "output", "output over inverse", "largest shift of a kinetic energy")
     return table(head, body)
 
 
@@ -114,16 +106,16 @@ def outputs() -> str:
 def default_temperatures() -> str:
     """Return temperatures and energies of the default and of LangevinMiddleIntegrator, of a peptide in water."""
     found, body = rows("protein_steps"), []
-    names = {"T_tr": 1, "T_rot": 1, "T_solute": 1, "T_rot reported": 1, "T_solute reported": 1, "U": 2}
+    names = {"T_tr": 1, "T_rot": 1, "T_rot reported": 1, "U": 2}
     of_point = {"solute": "peptide", "masses": "plain", "friction": "5.0", "ensemble": "NVT"}
     of_defaults = [row for row in found if all(row[key] == value for key, value in of_point.items())]
     for step, (method, label) in product((2.0, 4.0, 6.0), ((LFM, THEIRS[LFM]), ("BAOA", "`BAOA`, the default"))):
         some = [row for row in of_defaults if (row["integrator"], float(row["fs"])) == (method, step)]
         if some:
-            length = f"{len(some)} x {float(some[0]['picoseconds']):g} ps"
-            body.append((f"{step:g} fs", label, length, *(mean_of(some, *column) for column in names.items())))
-    units = (*(f"{name} (K)".replace("T_solute", "T_peptide") for name in names if name != "U"), "U (kJ/mol)")
-    return table(("peptide", "", "", *units), body)
+            of_runs, _, _ = ended(some).partition(" runs")
+            body.append((f"{step:g} fs", label, of_runs, *(mean_of(some, *column) for column in names.items())))
+    units = (*(f"{name} (K)" for name in names if name != "U"), "U (kJ/mol)")
+    return table(("", "", "ended", *units), body)
 
 
 #: Integrators, fs and constraints of a peptide with heavy hydrogens that are compared: the reference, and equal costs.
@@ -270,30 +262,17 @@ def protein_energies() -> str:
 
 # -- physical_validation: benchmarks/water/validation.py -------------------------------------------------------------
 
-TESTS = {  # without those of the ensemble, which need longer runs
-    "kinetic energy, p": "kinetic energy, p",
-    "temperature of the mean": "its mean",
-    "temperature of the width": "its width",
-    "translation, mean": "translation",
-    "rotation, mean": "rotation",
-}
-
 
 def validation() -> str:
-    """Return what physical_validation says: p, and standard errors by which the rest is off."""
+    """Return the extreme results of physical_validation for each integrator, and those of its two ensembles."""
     found, body = rows("physical_validation"), []
-    alone = (row for row in found if row["test"] in TESTS)
-    for integrator, point in distinct(alone, "integrator", "point"):
-        values = {r["test"]: r["value"] for r in found if (r["integrator"], r["point"]) == (integrator, point)}
-        body.append((integrator, point, *(values.get(test, "") for test in TESTS)))
-    return table(("integrator", "at", *TESTS.values()), body)
-
-
-def ensembles() -> str:
-    """Return by how many standard errors the ratios of two distributions are off, and how energies converge."""
-    found = [row for row in rows("physical_validation") if row["test"] in ("ensemble", "convergence")]
-    body = [(row["integrator"], row["point"], row["test"], row["value"]) for row in found]
-    return table(("integrator", "of", "test", "value"), body)
+    for (integrator,) in distinct((row for row in found if row["test"] == "ensemble"), "integrator"):
+        of = [(row["test"], row["point"], row["value"]) for row in found if row["integrator"] == integrator]
+        p = min((value for test, _, value in of if test == "kinetic energy, p"), key=float)
+        deviation = max((value for test, _, value in of if not test.startswith(("kinetic", "ensemble"))), key=float)
+        ratios = {"bar" in point: value for test, point, value in of if test == "ensemble"}
+        body.append((integrator, p, deviation, ratios[False], ratios[True]))
+    return table(("integrator", "smallest p", "largest deviation", "two temperatures", "two pressures"), body)
 
 
 # -- schemes of others: benchmarks/water/droplet.py ------------------------------------------------------------------

@@ -1,10 +1,11 @@
-"""Tables of on_gpu.py and operations.py: the time of a force evaluation on a GPU, and the length simulated per day."""
+"""Tables of on_gpu.py, device_drift.py and operations.py: speed on a GPU, and energy drifts on a device."""
 
 from __future__ import annotations
 
 import math
 
 from benchmarks.common.markdown import rows, table
+from benchmarks.common.records import Row
 
 _NAMES = {
     "water": "{} TIP3P",
@@ -17,6 +18,7 @@ _NAMES = {
 }
 _SCHEMES = ("S2_2", "W2_1", "S6_10", "BAOA")
 _PROTEINS = ("peptide", "villin", "5dfr_solv-cube_equil", "membrane")
+_DRIFT = ("drift", "its error", "spread")
 _OF_PROTEINS = {"LangevinMiddle": 4, "BAOA native": 4, "W2_3m native": 8}  # fs between two evaluations
 
 
@@ -55,16 +57,35 @@ def device_proteins() -> str:
     return table(("ms per evaluation, ns per day", *names, "throughput of `W2_3m`"), body)
 
 
-def device_operations() -> str:
-    """Return the operations in double precision of a force evaluation, and their share of its time."""
-    names = {"water": "100 000 TIP3P", "villin": "villin in water", "dhfr": "DHFR in water"}
-    body = []
-    for system, name in names.items():
-        found = [row for row in rows("device_operations") if row["system"] == system]
-        of_water = sum(int(row["operations in all"]) for row in found if row["part"] == "segment of a water")
-        total = sum(int(row["operations in all"]) for row in found)
-        shares = [float(row["percent of a force"]) for row in found]
-        share = "" if any(map(math.isnan, shares)) else f"{sum(shares):.1f} %"
-        body.append((name, f"{of_water / 1e6:.2f}", f"{(total - of_water) / 1e6:.2f}", share, found[0]["launches"]))
-    head = "system", "million operations of water", "of the protein", "share of the time", "launches of this package"
-    return table(head, body)
+def device_precision() -> str:
+    """Return the energy drift of a droplet with forces without a cutoff, with the native engine."""
+    found = [row for row in rows("device_precision") if row["engine"] == "native"]
+    return table(("precision", *_DRIFT), [(row["precision"], *_drift(row)) for row in found])
+
+
+def device_drift() -> str:
+    """Return the energy drift of a periodic box, by integrator, engine and precision."""
+    names = {"Verlet": "`VerletIntegrator`", "LangevinMiddle": "`LangevinMiddleIntegrator`"}
+    body = [
+        (
+            names.get(row["integrator"], f"`{row['integrator']}`, {row['engine']} engine"),
+            row["precision"],
+            *_drift(row),
+        )
+        for row in rows("device_drift")
+    ]
+    return table(("integrator", "precision", *_DRIFT), body)
+
+
+def _drift(row: Row) -> tuple[str, str, str]:
+    of_molecule = row["drift_kJ_per_mol_ns_molecule"], row["drift_error"], row["spread_kJ_per_mol_molecule"]
+    drift, error, spread = (value.replace("e-0", "e-") for value in of_molecule)
+    return drift.replace("-", "−", 1) if drift.startswith("-") else drift, error, spread
+
+
+def shares_of_operations() -> dict[str, float]:
+    """Return the percentage of a force evaluation that operations in double precision take, where it is known."""
+    shares: dict[str, float] = {}
+    for row in rows("device_operations"):
+        shares[row["system"]] = shares.get(row["system"], 0.0) + float(row["percent of a force"])
+    return {system: share for system, share in shares.items() if not math.isnan(share)}

@@ -1,4 +1,4 @@
-"""Tables of dipole_scale.py, dipole_energy.py and the dielectric constants of examples/dielectric_constant.py."""
+"""Tables of dipole_scale.py, dipole_devices.py, and the dielectric constants of examples/dielectric_constant.py."""
 
 from __future__ import annotations
 
@@ -20,14 +20,11 @@ def dipole_costs() -> str:
                     best[row["who"]] = row
             if level != "0.0001" and "LAMMPS" not in best:
                 continue
-            ours = best["rb.Ewald"]
             others = [f"{float(best[who]['ms']):.3g}" if who in best else "" for who in ("direct sum", "LAMMPS")]
             others[0] = others[0] if level == "0.0001" else ""  # timed with one tolerance
-            setting = best["LAMMPS"]["settings"] if "LAMMPS" in best else ""
             errors = f"{float(level):.0e}".replace("e-0", "e-")
-            ms = f"{float(ours['ms']):.3g}"
-            body.append((n, errors, ms, ours["settings"], *others, setting.replace("/dipole", "")))
-    return table(("dipoles", "errors up to", "`rb.Ewald`, ms", "with", "direct sum, ms", "LAMMPS, ms", "with"), body)
+            body.append((n, errors, f"{float(best['rb.Ewald']['ms']):.3g}", *others))
+    return table(("dipoles", "errors up to", "`rb.Ewald`, ms", "direct sum, ms", "LAMMPS, ms"), body)
 
 
 def dipole_memory() -> str:
@@ -43,7 +40,7 @@ def dipole_errors() -> str:
     """Return the errors of forces and torques by the tolerance."""
     found = [row for row in rows("dipole_scale") if row["who"] == "rb.Ewald" and row["cores"] == "1"]
     errors = {(row["tolerance"], row["n"]): f"{row['force_error']}, {row['torque_error']}" for row in found}
-    numbers = ("125", "1000", "8000", "27000")
+    numbers = ("125", "27000")
     body = [
         (name, *(errors.get((tolerance, n), "") for n in numbers))
         for name, tolerance in (("1e-3", "0.001"), ("1e-4", "0.0001"), ("1e-5", "1e-05"), ("1e-6", "1e-06"))
@@ -51,25 +48,26 @@ def dipole_errors() -> str:
     return table(("tolerance", *(f"{n} dipoles" for n in numbers)), body)
 
 
-def dipole_energies() -> str:
-    """Return standard deviations of the energy of a dipole, on a mesh and with the direct sum, and its drift."""
-    found, body = rows("dipole_energy"), []
-    for scheme, step in distinct(found, "scheme", "step_ps"):
-        of = {(row["sum"], row["start"]): row for row in found if row["scheme"] == scheme}
-        starts = [start for method, start in of if method == "direct" and ("mesh", start) in of]
-        stds = [
-            ", ".join(f"{float(of[method, start][name]):.{digits}e}".replace("e-0", "e-") for start in starts)
-            for name, digits in (("std_early", 3), ("std", 1))
-            for method in ("mesh", "direct")
-        ]
-        longest = max((row for row in of.values() if row["sum"] == "mesh"), key=lambda row: int(row["ps"]))
-        drifts = (
-            f"{row['drift_a_ps']} ± {row['drift_error']} ({row['ps']} ps)".replace("e-0", "e-")
-            for row in (longest, of["direct", longest["start"]])
-        )
-        body.append((f"`{scheme}`", f"{1e3 * float(step):g} fs", *stds, *drifts))
-    head = ("mesh, 1.2 ps", "direct, 1.2 ps", "mesh, 20 ps", "direct, 20 ps", "drift a ps, mesh", "drift a ps, direct")
-    return table(("scheme", "step", *head), body)
+def dipole_bonds() -> str:
+    """Return errors and times of the two forces of OpenMM for a reaction field, without those of scaled energies."""
+    body = [
+        (row["precision"], f'`"{row["kernel"]}"`', row["force error"], row["torque error"], row["ms"])
+        for row in rows("dipole_bonds")
+        if float(row["energies scaled by"]) == 1.0
+    ]
+    return table(("precision", "`kernel`", "error of forces", "of torques", "ms"), body)
+
+
+def dipole_rods() -> str:
+    """Return the errors of forces and torques of rods of charges of the length that a tolerance chooses."""
+    found, body = rows("dipole_rods"), []
+    for (tolerance,) in distinct(found, "tolerance"):
+        some = [row for row in found if row["tolerance"] == tolerance]
+        lengths = sorted({float(row["length (sigma)"]) for row in some})
+        chosen = [row for row in some if float(row["length (sigma)"]) == lengths[len(lengths) // 2]]  # of one or three
+        errors = {row["precision"]: (row["force error"], row["torque error"]) for row in chosen}
+        body.append((tolerance, *errors["single"], *errors["double"]))
+    return table(("tolerance", "forces, single", "torques, single", "forces, double", "torques, double"), body)
 
 
 def stockmayer_constants() -> str:

@@ -63,17 +63,6 @@ def droplets_of_models() -> str:
     return table(("scheme, evaluations per ps", *(labels[model] for model in models)), body)
 
 
-def droplet_growth() -> str:
-    """Return the same for TIP3P only, with the growth of the error after 10 ps."""
-    found, body = _of_droplets(), []
-    for (model, rate, scheme), row in found.items():
-        if model == "tip3p" and scheme in ("W2_1", "W2_5", "W4_4"):
-            growth = float(row["std_all"]) / float(row["std_10_ps"])
-            body.append((rate, f"`{scheme}`", _gain(found, model, rate, scheme), f"{growth:.2f}"))
-    head = ("force evaluations per ps", "scheme", "times less than Verlet", "growth of the error")
-    return table(head, sorted(body, key=lambda line: int(line[0])))
-
-
 def oscillator_errors() -> str:
     """Return the errors of TIP3P that oscillators alone would have, and those measured in 10 ps."""
     found, body = _of_droplets(), []

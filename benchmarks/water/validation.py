@@ -22,7 +22,8 @@ computed again, so that several commands with different seeds can share the work
 settings are tested.
 
     python benchmarks/water/validation.py --seeds 1 2 3 4 --workers 2 --table benchmarks/records/physical_validation.csv
-    python benchmarks/water/validation.py --integrators W2_3m --interval 8 --seeds 1 2 --length 100
+    python benchmarks/water/validation.py --molecules 64 --length 100  # of the record, and for W2_3m:
+    python benchmarks/water/validation.py --integrators W2_3m --interval 8 --seeds 1 2 3 4 --length 100
     python benchmarks/water/validation.py --seeds          # only tests the existing files
 """
 

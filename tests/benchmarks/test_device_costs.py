@@ -3,6 +3,7 @@
 import pytest
 
 from benchmarks.common.records import DOCS, RECORDS, ROOT, read
+from benchmarks.device.tables import shares_of_operations
 
 PAGES = {
     "README": ROOT / "README.md",
@@ -11,6 +12,7 @@ PAGES = {
     "gpu": DOCS / "how-to/gpu.md",
     "faq": DOCS / "faq.md",
     "protein": DOCS / "explanation/any-molecule.md",
+    "native": DOCS / "explanation/native.md",
     "joss": DOCS / "appendix/joss.md",
     "changes": ROOT / "CHANGELOG.md",
 }
@@ -67,6 +69,12 @@ def test_a_force_evaluation_of_a_protein_or_membrane_takes_longer_than_with_open
     assert f"These evaluations take {min(ratios['W2_3m']):.1f} to {max(ratios['W2_3m']):.1f} times as long" in text(
         "gpu"
     )
+
+
+def test_the_share_of_double_precision_on_a_card_for_consumers_is_that_of_the_record():
+    shares = shares_of_operations()
+    assert f"take an estimated {shares['water']:.1f} % of the time" in text("native")
+    assert f"and {shares['dhfr']:.1f} % for DHFR in water" in text("native")
 
 
 def test_all_was_measured_on_the_card_that_the_pages_name():

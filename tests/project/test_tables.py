@@ -147,6 +147,13 @@ def test_the_memory_of_dipoles_is_that_of_the_record():
     assert f"A process takes {dipole_memory()}." in page
 
 
+def test_the_drift_of_dipoles_is_that_of_the_record():
+    first = [row for row in tables.rows("dipole_energy") if (row["scheme"], row["start"]) == ("S6_10", "0")]
+    mesh, direct = (f"{row['drift_a_ps']} ± {row['drift_error']}".replace("e-0", "e-") for row in first)
+    words = f"is {mesh} kJ/mol per dipole and ps over {first[0]['ps']} ps with the mesh, and {direct} over"
+    assert words.replace(" -", " −") in page("docs/explanation/dipoles-measured.md")
+
+
 def test_the_potential_energy_of_w2_3m_is_that_at_the_reading_point():
     """At 4 fs."""
     above = [row.split("|")[3].split("±")[0].strip() for row in reading_points().splitlines() if "above" in row]
