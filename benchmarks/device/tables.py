@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 from benchmarks.common.markdown import rows, table
-from benchmarks.common.records import Row
 
 _NAMES = {
     "water": "{} TIP3P",
@@ -18,7 +17,6 @@ _NAMES = {
 }
 _SCHEMES = ("S2_2", "W2_1", "S6_10", "BAOA")
 _PROTEINS = ("peptide", "villin", "5dfr_solv-cube_equil", "membrane")
-_DRIFT = ("drift", "its error", "spread")
 _OF_PROTEINS = {"LangevinMiddle": 4, "BAOA native": 4, "W2_3m native": 8}  # fs between two evaluations
 
 
@@ -59,28 +57,10 @@ def device_proteins() -> str:
 
 def device_precision() -> str:
     """Return the energy drift of a droplet with forces without a cutoff, with the native engine."""
+    names = ("precision", "drift_kJ_per_mol_ns_molecule", "drift_error", "spread_kJ_per_mol_molecule")
     found = [row for row in rows("device_precision") if row["engine"] == "native"]
-    return table(("precision", *_DRIFT), [(row["precision"], *_drift(row)) for row in found])
-
-
-def device_drift() -> str:
-    """Return the energy drift of a periodic box, by integrator, engine and precision."""
-    names = {"Verlet": "`VerletIntegrator`", "LangevinMiddle": "`LangevinMiddleIntegrator`"}
-    body = [
-        (
-            names.get(row["integrator"], f"`{row['integrator']}`, {row['engine']} engine"),
-            row["precision"],
-            *_drift(row),
-        )
-        for row in rows("device_drift")
-    ]
-    return table(("integrator", "precision", *_DRIFT), body)
-
-
-def _drift(row: Row) -> tuple[str, str, str]:
-    of_molecule = row["drift_kJ_per_mol_ns_molecule"], row["drift_error"], row["spread_kJ_per_mol_molecule"]
-    drift, error, spread = (value.replace("e-0", "e-") for value in of_molecule)
-    return drift.replace("-", "−", 1) if drift.startswith("-") else drift, error, spread
+    body = [[row[name].replace("-", "−").replace("e−0", "e-") for name in names] for row in found]
+    return table(("precision", "drift", "its error", "spread"), body)
 
 
 def shares_of_operations() -> dict[str, float]:

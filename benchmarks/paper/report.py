@@ -20,8 +20,8 @@ RULES = """\
 ## How a verdict is reached
 
 `make paper` runs the scripts in `benchmarks/paper`, which compute the numbers and write these pages. `make paper
-ARGS=--stored` writes the pages from the stored data in `docs/paper/data`. A verdict is computed from criteria, which
-are printed with every claim:
+ARGS=--stored` writes the pages from the stored data in `docs/paper/data`. A verdict follows from criteria, which are
+printed with every claim:
 
 - a claim **agrees** if all criteria are met, either in every draw of random starts or, to within two standard errors,
   by the mean over the draws;
@@ -32,9 +32,9 @@ are printed with every claim:
   decision.
 
 The claims of the paper rarely contain a number, so the numbers in the criteria, such as "within a factor of 3", are
-our choice. Criteria that are stricter than the claim of the paper are marked and do not affect the verdict. Our own
-statements, under "Beyond the paper", are judged in the same way and counted separately. Costs are processor times on
-one core and are meaningful only as ratios. No verdict depends on a ratio of times between compiled code and NumPy code.
+our choice. Criteria that are stricter than the claim are marked and do not affect the verdict. Our own statements,
+under "Beyond the paper", are judged in the same way and counted separately. Costs are processor times on one core and
+are meaningful only as ratios. No verdict depends on a ratio of times between compiled code and NumPy code.
 
 """
 ERRATA = """\
@@ -66,8 +66,7 @@ WHEN = """\
   satellite), use `SABA_4`, or `ABA_10_6_4` at tight tolerances. If output is rare, use `V2_C17` instead, whose
   corrector costs 32 force evaluations per output. If a force gradient is also available, use `V2_gradient_C17`.
 - If the potential is as large as the kinetic energy (tops with T0 = ε, dipoles, liquids), these schemes have no
-  advantage over schemes for any potential. The page [Which integrator, scheme and step](which.md) gives
-  recommendations for molecules.
+  advantage over schemes for any potential ([recommendations for molecules](which.md)).
 - With the McLachlan-Reich rotor instead of the exact rotor, every scheme has order 2, except for compositions of Verlet
   steps (`Y4_3`, `Y6_7`, `KL8_17`), which have large error constants.
 """

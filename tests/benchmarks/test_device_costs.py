@@ -77,6 +77,21 @@ def test_the_share_of_double_precision_on_a_card_for_consumers_is_that_of_the_re
     assert f"and {shares['dhfr']:.1f} % for DHFR in water" in text("native")
 
 
+def test_the_energy_of_s2_2_does_not_drift_in_a_box_and_that_of_verlet_does():
+    found = read(RECORDS / "device_drift.csv")
+    errors = {
+        (row["integrator"], row["engine"], row["precision"]): abs(float(row["drift_kJ_per_mol_ns_molecule"]))
+        / float(row["drift_error"])
+        for row in found
+    }
+    ours = {key: error for key, error in errors.items() if key[0] == "S2_2"}
+    assert {key[1:] for key in ours} == {("host", "single"), *(("native", p) for p in ("single", "mixed", "double"))}
+    assert max(ours.values()) < 2.0
+    assert round(errors["Verlet", "openmm", "single"]) == 7
+    assert round(errors["LangevinMiddle", "openmm", "single"]) == 1
+    assert {(row["molecules"], row["ps"]) for row in found} == {("512", "100.0")}
+
+
 def test_all_was_measured_on_the_card_that_the_pages_name():
     assert {row["device"] for row in ROWS.values()} == {"NVIDIA H200"}
     assert all("NVIDIA H200" in text(page) for page in PAGES)
