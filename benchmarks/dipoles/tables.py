@@ -85,11 +85,13 @@ def _constants(fluid: str) -> str:
     for point in distinct(found, *what):
         some = [row for row in found if tuple(row[name] for name in what) == point]
         seeds = [row for row in some if row["options"].startswith("--seed")]
+        strength, program, boundary, dipoles, ps = point
+        method = ", ".join(filter(None, (program if program != "this package" else "", boundary)))
         for row in [row for row in some if row not in seeds]:
-            body.append((*point[:4], " ".join((point[4], row["options"])).strip(), _constant([row])))
+            body.append((strength, method, dipoles, " ".join((ps, row["options"])).strip(), _constant([row])))
         if seeds:
-            body.append((*point[:4], f"{len(seeds)} × {point[4]}", _constant(seeds)))
-    return table(("mu²/kT", "program", "boundary", "dipoles", "ps", "dielectric constant"), body)
+            body.append((strength, method, dipoles, f"{len(seeds)} × {ps}", _constant(seeds)))
+    return table(("mu²/kT", "method", "dipoles", "ps", "dielectric constant"), body)
 
 
 def _constant(some: list[Row]) -> str:
