@@ -18,7 +18,7 @@ from benchmarks import tables
 from benchmarks.common.markdown import rows, table
 from benchmarks.common.provenance import OF_RUN, PROVENANCE
 from benchmarks.common.records import DOCS
-from benchmarks.constraints import martini_rings, small_molecules
+from benchmarks.constraints import small_molecules
 from benchmarks.cost import tables as of_cost
 from benchmarks.device import tables as of_device
 from benchmarks.dipoles import tables as of_dipoles
@@ -33,7 +33,7 @@ from benchmarks.water.equipartition_record import RECORD, over_frictions, over_s
 #: The modules whose functions return tables.
 _MODULES: tuple[ModuleType, ...] = (
     *(tables, of_cost, of_device, of_dipoles, of_free_energies, of_proteins, of_schemes, of_water),
-    *(martini_rings, small_molecules, corrected_steps, corrected_water, droplet_averages, tip4p2005),
+    *(small_molecules, corrected_steps, corrected_water, droplet_averages, tip4p2005),
 )
 _WRITTEN = re.compile(r"(?<=<!-- table: )(\w+)( -->\n)((?:\|.*\n)*)")
 

@@ -20,7 +20,6 @@ import numpy as np
 import openmm
 
 import openmm_exactrb as rb
-from benchmarks.common.markdown import rows, table
 from benchmarks.common.records import RECORDS, Record
 from benchmarks.common.starts import R, context_of, positions_and_velocities
 from benchmarks.constraints import martini
@@ -211,21 +210,6 @@ def print_means():
         weights = weights**-2.0
         mean, error = weights @ T / weights.sum(), weights.sum() ** -0.5
         print(f"{kind}, {step} fs, {len(found)} molecules: {mean:.2f} +- {error:.2f} K")
-
-
-def martini_rings() -> str:
-    """Return temperatures of each molecule as a table of a page."""
-    found = {tuple(row[name] for name in RUN): row for row in rows("martini_rings")}
-    body = []
-    for molecule in dict.fromkeys(molecule for molecule, _, _ in found):
-        cells = []
-        for name in ("exact", "LangevinMiddle"):
-            some = [found[molecule, step, name] for step in ("20", "30")]
-            means = [f"{float(row['T_K']):.1f} ± {float(row['error_K']):.1f}" for row in some]
-            cells += means if all(np.isfinite(float(row["T_K"])) for row in some) else 2 * ["nan"]
-        body.append((molecule, *cells))
-    columns = ("T at 20 fs (K)", "at 30 fs")
-    return table(("molecule", *columns, *(f"{name}, `LangevinMiddle`" for name in columns)), body)
 
 
 def main():

@@ -242,6 +242,20 @@ def test_the_reciprocal_part_in_outer_steps_gains_nothing_at_the_same_cost():
         assert min(its for _, least, its in plain if least <= cost) <= std
 
 
+def test_molecules_with_constrained_rings_have_the_temperature_of_the_thermostat():
+    """Each within two standard errors, and at either step the mean that the page has."""
+    found = [row for row in tables.rows("martini_rings") if row["T_K"] != "nan"]
+    assert len({row["molecule"] for row in found}) == 10
+    assert all(abs(float(row["T_K"]) - 310.0) < 2.0 * float(row["error_K"]) for row in found)
+    for step in "20", "30":
+        T, error = np.array(
+            [(row["T_K"], row["error_K"]) for row in found if (row["step_fs"], row["integrator"]) == (step, "exact")],
+            dtype=float,
+        ).T
+        mean = tables.with_error(np.average(T, weights=error**-2), np.sum(error**-2) ** -0.5, 2)
+        assert f"mean is {mean} K at each step size" in page("docs/tutorials/cholesterol.md")
+
+
 def test_what_smooth_forces_cost_is_in_the_record():
     small, large = map(costs_of_settings, ("216", "895"))
     most, least = (f"{costs['switch and tolerance 1e-5']:.1f}" for costs in (small, large))
