@@ -191,3 +191,12 @@ def costs_of_settings(molecules: str) -> dict[str, float]:
     """Return the time of a step of Verlet by the settings of forces, over that with OpenMM's defaults."""
     found = rows("force_settings")
     return {row["settings"]: float(row["median"]) for row in found if row["molecules"] == molecules}
+
+
+def acceptance() -> str:
+    """Return the fraction of accepted proposals of hybrid Monte Carlo, and the force evaluations per proposal."""
+    body = [
+        (f"`{row['scheme']}`", row["fs"], f"{row['accepted']} ± {row['error']}", row["forces_per_proposal"])
+        for row in rows("acceptance")
+    ]
+    return table(("scheme", "fs", "accepted", "forces per proposal"), body)
