@@ -276,6 +276,7 @@ def earlier_schemes() -> str:
     found = {
         (row["method"], row["force_evaluations_a_ps"]): float(row["energy_std_30_ps"])
         for row in rows("water_earlier_schemes")
+        if row["method"] not in ("PEFRL", "Chin4C")
     }
     methods, rates = (list(dict.fromkeys(key[k] for key in found)) for k in (0, 1))
     methods.sort(key=lambda name: (name in SCHEMES, name.startswith("W"), name in SCHEMES and SCHEMES[name].order))

@@ -28,7 +28,7 @@ from benchmarks.proteins import tables as of_proteins
 from benchmarks.schemes import tables as of_schemes
 from benchmarks.water import corrected_water, droplet_averages, tip4p2005
 from benchmarks.water import tables as of_water
-from benchmarks.water.equipartition_record import RECORD, over_frictions, over_steps, read
+from benchmarks.water.equipartition_record import RECORD, over_steps, read
 
 #: The modules whose functions return tables.
 _MODULES: tuple[ModuleType, ...] = (
@@ -64,7 +64,6 @@ def _equipartition() -> Iterator[tuple[str, str]]:
     record = read(RECORD)
     yield "spce_temperatures", over_steps(record, "T_rot - T_tr", "spce", "NVT")
     yield "spce_energies", over_steps(record, "U", "spce", "NVT")
-    yield "spce_frictions", over_frictions(record, "spce", 6.0)
 
 
 def pages() -> list[Path]:

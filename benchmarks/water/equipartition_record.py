@@ -48,10 +48,8 @@ ROWS = {
     )
     for name in ("T_rot - T_tr", "U", "density")
 }
-DIGITS = {"T_tr": 1, "T_rot - T_tr": 1, "other T_rot - T_tr": 1, "U": 2, "density": 1}
-FRICTIONS = {"BAOA": "BAOA", LFM: "`LangevinMiddleIntegrator`, constrained", "W2_3m": "W2_3m"}
+DIGITS = {"T_rot - T_tr": 1, "other T_rot - T_tr": 1, "U": 2, "density": 1}
 LABELS = {
-    "T_tr": "T_tr (K)",
     "T_rot - T_tr": "T_rot − T_tr (K)",
     "U": "potential energy (kJ/mol per molecule)",
     "density": "density (kg/m³)",
@@ -174,26 +172,6 @@ def less(a: Mean, b: Mean, scale: float | None = None) -> Mean:
     """Return the difference of two means with its error, as a part of the second one times a scale if there is one."""
     factor = 1.0 if scale is None else scale / b[0]
     return factor * (a[0] - b[0]), abs(factor) * math.hypot(a[1], b[1])
-
-
-def over_frictions(record: Record, model: str, interval: float) -> str:
-    """Return a table in Markdown: a row for each method and friction, a column for each quantity.
-
-    Temperatures and energies are those at constant volume, densities those at 1 bar. Temperatures of
-    LangevinMiddleIntegrator are those of its constrained velocities.
-    """
-    found = {
-        (ensemble, method, friction): means
-        for (name, ensemble, method, step, friction), means in whole(record).items()
-        if (name, step) == (model, interval)
-    }
-    lines = [["", "friction (1/ps)", *(LABELS[name] for name in ("T_tr", *ROWS))], ["---"] * 6]
-    for method, friction in sorted(what for ensemble, *what in found if ensemble == "NVT" and what[0] in FRICTIONS):
-        difference = "other T_rot - T_tr" if method == LFM else "T_rot - T_tr"
-        cells = [shown(found["NVT", method, friction], name) for name in ("T_tr", difference, "U")]
-        density = shown(found.get(("NPT", method, friction), {}), "density")
-        lines.append([FRICTIONS[method], f"{friction:g}", *cells, density])
-    return markdown(lines)
 
 
 def shown(found: Means, name: str) -> str:
