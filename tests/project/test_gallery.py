@@ -31,7 +31,7 @@ def test_ellipsoids_are_nematic_at_the_end():
 
 
 def test_structure_of_the_stockmayer_fluid():
-    found, page = rows("stockmayer_fluid"), text("docs/tutorials/dielectric.md")
+    found, page = rows("stockmayer_fluid"), text("examples/stockmayer_fluid.py")
     peak = max(found, key=lambda row: float(row["g"]))
     assert f"first peak of g(r) is at {float(peak['r']):.2f} sigma" in page
     assert f"height is {float(peak['g']):.2f}, and h110 there is {float(peak['h110']):.2f}" in page
