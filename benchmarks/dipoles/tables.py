@@ -35,16 +35,10 @@ def dipole_memory() -> str:
     return f"{few}, {many}"
 
 
-def dipole_errors() -> str:
-    """Return the errors of forces and torques by the tolerance."""
-    found = [row for row in rows("dipole_scale") if row["who"] == "rb.Ewald" and row["cores"] == "1"]
-    errors = {(row["tolerance"], row["n"]): f"{row['force_error']}, {row['torque_error']}" for row in found}
-    numbers = ("125", "27000")
-    body = [
-        (name, *(errors.get((tolerance, n), "") for n in numbers))
-        for name, tolerance in (("1e-3", "0.001"), ("1e-4", "0.0001"), ("1e-5", "1e-05"), ("1e-6", "1e-06"))
-    ]
-    return table(("tolerance", *(f"{n} dipoles" for n in numbers)), body)
+def largest_error() -> float:
+    """Return the largest error of forces and torques of rb.Ewald, divided by the tolerance."""
+    found = [row for row in rows("dipole_scale") if row["who"] == "rb.Ewald"]
+    return max(float(row[name]) / float(row["tolerance"]) for row in found for name in ("force_error", "torque_error"))
 
 
 def dipole_bonds() -> str:

@@ -11,7 +11,7 @@ import openmm_exactrb as rb
 from benchmarks import tables, write_tables
 from benchmarks.common.markdown import with_error
 from benchmarks.cost.tables import more_for_a_call
-from benchmarks.dipoles.tables import dipole_memory, droplet_gains
+from benchmarks.dipoles.tables import dipole_memory, droplet_gains, largest_error
 from benchmarks.water.tables import costs_of_settings, reading_points
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -150,6 +150,11 @@ def test_the_gain_of_dipoles_is_that_of_the_record():
 def test_the_memory_of_dipoles_is_that_of_the_record():
     page = (ROOT / "docs" / "explanation" / "dipoles-measured.md").read_text(encoding="utf-8")
     assert f"A process takes {dipole_memory()}." in page
+
+
+def test_errors_of_ewald_sums_of_dipoles_are_below_the_tolerance():
+    """As the page says."""
+    assert largest_error() < 1.0
 
 
 def test_the_drift_of_dipoles_is_that_of_the_record():
