@@ -16,6 +16,7 @@ that an interrupted command can be resumed:
 
     python benchmarks/schemes/search.py --rates 500 1000 --families BACAB BABABAB --best 2 --budget 120
     python benchmarks/schemes/search.py --judge W2_4 W2_5 --rates 500 --models tip3p --molecules 64 --starts 3
+    python benchmarks/schemes/search.py --judge W2_1 S2_3 --rates 250 --molecules 64 --picoseconds 60
 """
 
 from __future__ import annotations
