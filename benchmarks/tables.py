@@ -118,36 +118,8 @@ _EQUAL = (
 )
 
 
-def protein_steps() -> str:
-    """Return temperatures and energies of a peptide in water by masses, integrator and time per force evaluation."""
-    body = []
-    names = {"T_tr": 1, "T_rot": 1, "T_solute": 1, "U": 2}
-    keys = ("masses", "fs", "constraints", "ensemble", "friction", "integrator", "picoseconds")
-    found = [row for row in rows("protein_steps") if row["solute"] == "peptide"]
-    for point in sorted(distinct(found, *keys), key=lambda key: (key[0] != "plain", float(key[1]), *key[2:])):
-        some = [row for row in found if tuple(row[key] for key in keys) == point]
-        masses, fs, constraints, ensemble, friction, integrator, length = point
-        of_defaults = masses == "plain" and integrator != "W2_3m"
-        of_limit = masses == "all" and integrator == "W2_3m" and float(fs) < 8.0
-        compared = (masses, ensemble, friction) == ("all", "NVT", "5.0") and (integrator, fs, constraints) in _EQUAL
-        if len(some) < 2 or of_defaults or of_limit or compared:  # no error, or shown elsewhere
-            continue
-        scheme, _, platform = integrator.partition(" ")
-        how = [*([constraints] if constraints != "HBonds" else []), *(["1 bar"] if ensemble == "NPT" else [])]
-        of_all, *of_solute = (f"{float(part):g}/ps" for part in friction.split(":"))
-        how += [of_all] if friction != "5.0" else []
-        how += [f"solute {part}" for part in of_solute]
-        how += [f"native engine ({platform})"] if platform else []
-        label = ", ".join([THEIRS.get(scheme, f"`{scheme}`"), *how])
-        cells = (mean_of(some, name, digits) for name, digits in names.items())
-        length = f"{len(some)} x {float(length):g} ps"
-        body.append(({"plain": "none"}.get(masses, masses), f"{float(fs):g} fs", label, length, *cells))
-    units = (f"{name} (K)" if name.startswith("T_") else name for name in names)
-    return table(("hydrogens of 3 amu", "", "", "", *units), body)
-
-
 def protein_limits() -> dict[str, tuple[tuple[float, float], tuple[float, float]]]:
-    """Return, of the same with heavy hydrogens, lines in the square of the time per force evaluation.
+    """Return, of a peptide in water with heavy hydrogens, lines in the square of the time per force evaluation.
 
     By name, they are the limit at zero and the change up to 8 fs, each with its error.
     """

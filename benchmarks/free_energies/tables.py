@@ -24,18 +24,17 @@ def hydration(record: Path = RECORDS / "hydration.csv") -> str:
     """Return the hydration free energies, the failures and the forces of each integrator."""
     found = read(record)
     body = [_hydration(kind, [row for row in found if row["kind"] == kind]) for (kind,) in distinct(found, "kind")]
-    head = "integrator", "seeds", "ΔG (kcal/mol)", "over seeds", "smallest overlap", "ns", "failed runs"
+    head = "integrator", "seeds", "ΔG (kcal/mol)", "smallest overlap", "ns", "failed runs"
     return table((*head, "forces per ns", "density (kg/m³)"), body)
 
 
 def _hydration(kind: str, rows: list[Row]) -> list[str]:
-    """Return a line: with the error of MBAR, and that of the scatter of the seeds if there are several."""
+    """Return a line, with the error of MBAR."""
     values, errors = (np.array([float(row[name]) for row in rows]) for name in ("value", "error"))
     n, ns = len(rows), 0.001 * sum(float(row["simulated"]) for row in rows)
     failures, forces = (sum(int(row[name]) for row in rows) for name in ("failures", "forces"))
     return [
         *(LABELS.get(kind, kind), f"{n}", with_error(values.mean(), math.sqrt(np.square(errors).sum()) / n, 2)),
-        f"± {values.std(ddof=1) / math.sqrt(n):.2f}" if n > 1 else "",
         f"{min(float(row['overlap']) for row in rows):.2f}",
         *(f"{ns:.2f}", f"{failures} of {failures + sum(int(row['windows']) for row in rows)}", f"{forces / ns:.0f}"),
         f"{np.mean([float(row['density']) for row in rows]):.1f}",
