@@ -41,7 +41,7 @@ def one_line() -> str:
 
 
 def small_systems() -> str:
-    """Return ratios of times to those of OpenMM's integrators of the same kind, by platforms, where others do not resemble them."""
+    """Return ratios of times to those of OpenMM's integrator of the same kind, except those that others resemble."""
     return _by_platform([row for row in rows("small_systems") if row["unit"] == "ratio" and not _like_others(row)])
 
 

@@ -102,7 +102,7 @@ def averages() -> str:
         times = np.array([float(row["ps"]) for row in some])
         # Not by estimated errors, which are small where a fluctuation happens to be small.
         weights = times / times.sum()
-        for name in ("potential energy", "pressure", "density", "enthalpy"):
+        for name in ("potential energy", "density", "enthalpy"):
             values = np.array([[float(row[f"{name}{part}"]) for part in PARTS] for row in some])
             if np.isfinite(values).all():
                 plain, after, *_ = weights @ values

@@ -11,7 +11,6 @@ PAGES = {
     "which": DOCS / "which.md",
     "gpu": DOCS / "how-to/gpu.md",
     "faq": DOCS / "faq.md",
-    "protein": DOCS / "explanation/any-molecule.md",
     "native": DOCS / "explanation/native.md",
     "joss": DOCS / "appendix/joss.md",
     "changes": ROOT / "CHANGELOG.md",
@@ -38,12 +37,10 @@ def test_a_force_evaluation_of_water_takes_as_long_as_with_verlet(page):
 
 
 def test_the_throughput_of_proteins_is_that_of_the_record():
-    peptide, villin, dhfr, membrane = map(throughput, ("peptide", "villin", "5dfr_solv-cube_equil", "membrane"))
+    villin, dhfr, membrane = map(throughput, ("villin", "5dfr_solv-cube_equil", "membrane"))
     for name in ("README", "index"):
         assert f"and {dhfr:.1f} times on an NVIDIA H200" in text(name)
     assert f"{dhfr:.2f} (DHFR), {villin:.2f} (villin) and {membrane:.2f} (128 POPC) times" in text("gpu")
-    assert f"{peptide:.2f} times as many nanoseconds per day" in text("protein")
-    assert f"{villin:.2f} times for villin and {dhfr:.2f} times for DHFR" in text("protein")
     assert f"villin at 8 fs has {villin:.1f} times the throughput" in text("joss")
     assert f"DHFR at 8 fs reaches {dhfr:.1f} times the throughput" in text("changes")
 
