@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -12,6 +11,7 @@ import openmm
 from numpy.typing import NDArray
 
 from openmm_exactrb.openmm_access import parameters
+from openmm_exactrb.openmm_access.units import COULOMB
 from openmm_exactrb.support.types import Array, Indices
 
 #: The types of bonded forces.
@@ -25,8 +25,6 @@ BONDED_FORCES = (
     openmm.CustomAngleForce,
     openmm.CustomTorsionForce,
 )
-#: Coulomb's constant in kJ nm/mol/e², from the physical constants that OpenMM uses.
-COULOMB = (1.602176634e-19) ** 2 * 6.02214076e23 * 1e6 / (4.0 * math.pi * 8.8541878128e-12)
 #: The formula of exceptions of a NonbondedForce, and the names of their numbers.
 PAIR, _OF_PAIR = f"{COULOMB!r}*charges/r + 4*epsilon*((sigma/r)^12 - (sigma/r)^6)", ("charges", "sigma", "epsilon")
 # Names of parameters that the formula of exceptions with offsets can contain.

@@ -18,9 +18,10 @@ from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.library import functions
 from openmm_exactrb.mechanics.state import Force, State
 from openmm_exactrb.multiple_time_steps import bonded_forces
-from openmm_exactrb.multiple_time_steps.bonded import COULOMB, LENNARD_JONES, PAIR, Bonded
+from openmm_exactrb.multiple_time_steps.bonded import LENNARD_JONES, PAIR, Bonded
 from openmm_exactrb.multiple_time_steps.terms import Terms, kinds_of
 from openmm_exactrb.openmm_access import arrays
+from openmm_exactrb.openmm_access.units import COULOMB
 from openmm_exactrb.support.types import Array, Indices
 
 # Formulas of harmonic torsions in OpenMM's CHARMM force fields, without blanks. The difference of angles is periodic in

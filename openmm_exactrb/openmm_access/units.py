@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from openmm import unit
@@ -11,6 +12,8 @@ from openmm_exactrb.support import checks
 #: OpenMM's unit of a force.
 FORCE = unit.kilojoule_per_mole / unit.nanometer
 RATE = unit.picosecond**-1
+#: Coulomb's constant in kJ/mol nm/e², from CODATA 2018, as in OpenMM.
+COULOMB = 1.602176634e-19**2 * 6.02214076e23 * 1e6 / (4.0 * math.pi * 8.8541878128e-12)
 
 
 def plain(value: Any, in_unit: unit.Unit, what: str) -> float:

@@ -6,10 +6,9 @@ from typing import Any
 
 from openmm import unit
 
+from openmm_exactrb.openmm_access.units import COULOMB
 from openmm_exactrb.support import checks
 
-#: Coulomb's constant in kJ/mol nm/e², from CODATA 2018, equal to the value in OpenMM.
-COULOMB = 138.93545764438198
 # One debye, 1e-21/c C m, in e nm.
 _DEBYE_IN_E_NM = 1e-21 / 299792458.0 / 1.602176634e-19 * 1e9
 

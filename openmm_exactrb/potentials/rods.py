@@ -9,11 +9,11 @@ from dataclasses import replace
 import openmm
 
 from openmm_exactrb.context.dipole_boxes import NAME, SHORTEST
+from openmm_exactrb.openmm_access.units import COULOMB
 from openmm_exactrb.potentials.boundaries import Edges, Ewald, edges_of
 from openmm_exactrb.potentials.dipoles import checked_pairs, context_parameters, spheres_of
 from openmm_exactrb.potentials.ewald import mean_distance
 from openmm_exactrb.potentials.formula import add_hbonds, soft_rod_energy
-from openmm_exactrb.potentials.moments import COULOMB
 from openmm_exactrb.support import checks
 
 #: Smallest tolerance. Below this tolerance, OpenMM's mesh of order 5 needs more than ten points per dipole along an

@@ -9,9 +9,6 @@ from openmm_exactrb.engines.native.flexible.part import INNER_STEPS, FlexiblePar
 from openmm_exactrb.engines.native.program import Launch, Operation
 from openmm_exactrb.engines.native.rigid import SEGMENT, RigidPart
 
-# The arguments of `SEGMENT` that `INNER_STEPS` lacks: tables, state and stored forces, and then moves and properties.
-_TABLES, _MOVES = slice(6, 22), slice(25, 28)
-
 
 def joined(parts: Sequence[FlexiblePart | RigidPart]) -> None:
     """Give the first part of flexible molecules and the small rigid bodies one source, if there are both."""
@@ -28,6 +25,6 @@ def together(operations: Sequence[Operation]) -> list[Operation]:
     if segment is None or inner is None or segment.source != inner.source:
         return list(operations)
     threads = inner.threads + inner.block * math.ceil(segment.threads / inner.block)
-    arguments = *inner.arguments, *segment.arguments[_TABLES], *segment.arguments[_MOVES]
-    both = Launch(inner.source, "inner_steps_and_segment", threads, arguments, inner.block)
+    own = (given for given in segment.arguments if isinstance(given, int) or given not in inner.arguments)
+    both = Launch(inner.source, "inner_steps_and_segment", threads, (*inner.arguments, *own), inner.block)
     return [both if o is inner else o for o in operations if o is not segment]

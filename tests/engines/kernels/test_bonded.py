@@ -8,8 +8,8 @@ from kernel_functions import U
 
 import bonded_terms
 from bonded_terms import FORMS, RNG, maps, system_of, terms_in
-from openmm_exactrb.multiple_time_steps.bonded import COULOMB
 from openmm_exactrb.multiple_time_steps.terms import kinds_of
+from openmm_exactrb.openmm_access.units import COULOMB
 from starts import context_of
 
 #: The differences of positions (nm) by which energies are differentiated.
