@@ -50,9 +50,30 @@ def box_energies() -> str:
     return table(("TIP3P", *(f"{ps} ps" for ps in WINDOWS), "times less than Verlet over 30 ps"), body)
 
 
+def long_box_energies() -> str:
+    """Return the energy errors of a periodic box of TIP3P over 300 ps, and their slopes and gains by start."""
+    runs = {(row["method"], row["start"]): row for row in rows("energy_drift") if row["molecules"] == "216"}
+    starts, body = sorted({start for _, start in runs}), []
+    for method in dict.fromkeys(method for method, _ in runs):
+        some = [runs[method, start] for start in starts if (method, start) in runs]
+        stds = ([float(row[f"std_{window}_ps"]) for row in some] for window in energy_drift.WINDOWS)
+        cells = [f"{math.sqrt(sum(std * std for std in of) / len(of)):.1e}" for of in stds]
+        cells.append(", ".join(f"{float(row['drift_a_ns']):.1e}" for row in some))
+        gains = (
+            f"{float(runs[energy_drift.VERLET, row['start']]['std_300_ps']) / float(row['std_300_ps']):.2g}"
+            for row in some
+        )
+        name = method if method == energy_drift.VERLET else f"`{method}`"
+        gain = "" if method == energy_drift.VERLET else ", ".join(gains)
+        body.append((name, *(cell.replace("e-0", "e-") for cell in cells), gain))
+    windows = (f"{window} ps" for window in energy_drift.WINDOWS)
+    return table(("TIP3P", *windows, "slope per ns", "times less than Verlet over 300 ps"), body)
+
+
 def energy_drifts() -> str:
     """Return the energy errors of W4_4 by the interval and the forces, within windows of increasing length."""
-    found, body, run = rows("energy_drift"), [], energy_drift.RUN[:-1]
+    found = [row for row in rows("energy_drift") if row["molecules"] == "64"]
+    body, run = [], energy_drift.RUN[:-1]
     windows = [window for window in energy_drift.WINDOWS if any(row[f"std_{window}_ps"] != "nan" for row in found)]
     for point in distinct(found, *run):
         some = [row for row in found if tuple(row[name] for name in run) == point]
