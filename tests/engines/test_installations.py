@@ -141,7 +141,8 @@ def test_many_processes_compile_once_and_a_killed_one_does_no_harm(machine):
         assert str(path) in printed[-1]
         assert printed[-1].startswith("native; ")
     if has_device():
-        machine.environment["PATH"] = os.pathsep.join((str(machine.folder), os.environ["PATH"]))  # PoCL links its kernels
+        folders = os.environ["PATH"]  # PoCL links its kernels
+        machine.environment["PATH"] = f"{machine.folder}{os.pathsep}{folders}"
         assert machine.run(ON_DEVICE)[0][-1] == "native"  # OpenMM warns about PoCL before
         assert machine.compilations() == len(compilation.SOURCES)  # by the same compiler, so that none is new
         machine.environment["PATH"] = str(machine.folder)
