@@ -62,8 +62,8 @@ def made(name: str) -> str:
 
 def _equipartition() -> Iterator[tuple[str, str]]:
     record = read(RECORD)
-    yield "spce_temperatures", over_steps(record, "T_rot - T_tr", "spce", "NVT")
-    yield "spce_energies", over_steps(record, "U", "spce", "NVT")
+    yield "spce_temperatures", over_steps(record, "T_rot - T_tr", "spce", "NVT", omitted={1.0})
+    yield "spce_energies", over_steps(record, "U", "spce", "NVT", omitted={1.0})
 
 
 def pages() -> list[Path]:

@@ -60,9 +60,13 @@ def more_for_a_call() -> tuple[float, float]:
     return min(more), max(more)
 
 
-def alchemical_systems() -> str:
-    """Return times of alchemical Systems beside OpenMM's integrator, by platforms."""
-    return _by_platform([row for row in rows("small_systems") if _fades(row)])
+def alchemical_systems() -> dict[tuple[str, str], str]:
+    """Return ratios of times of alchemical Systems to those of OpenMM's integrator, by platform and scheme."""
+    return {
+        (row["platform"], row["run"].partition(",")[0]): f"{float(row['median']):.2f}"
+        for row in rows("small_systems")
+        if _fades(row)
+    }
 
 
 def _fades(row: Row) -> bool:

@@ -7,6 +7,7 @@ generated from this record.
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple, get_type_hints
@@ -138,14 +139,17 @@ def whole(record: Record) -> dict[tuple[str, str, str, float, float], Means]:
     return {point[:5]: point.found for point in points(record) if point.ps >= WHOLE and point.kelvin == KELVIN}
 
 
-def over_steps(record: Record, quantity: str, model: str, ensemble: str) -> str:
-    """Return a table in Markdown: a row for each method, a column for each time per force, of whole points."""
+def over_steps(record: Record, quantity: str, model: str, ensemble: str, omitted: Collection[float] = ()) -> str:
+    """Return a table in Markdown: a row for each method, a column for each time per force, of whole points.
+
+    Columns of the times that are omitted are left out.
+    """
     found = {
         (method, interval): means
         for (*where, method, interval, friction), means in whole(record).items()
         if (*where, friction) == (model, ensemble, FRICTION)
     }
-    intervals = sorted({interval for _, interval in found})
+    intervals = sorted({interval for _, interval in found}.difference(omitted))
     lines = [[LABELS[quantity], *(f"{interval:g} fs" for interval in intervals)], ["---"] * (1 + len(intervals))]
     for label, method, name in ROWS[quantity]:
         cells = [shown(found.get((method, interval), {}), name) for interval in intervals]

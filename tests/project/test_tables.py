@@ -10,7 +10,7 @@ import pytest
 import openmm_exactrb as rb
 from benchmarks import tables, write_tables
 from benchmarks.common.markdown import with_error
-from benchmarks.cost.tables import more_for_a_call
+from benchmarks.cost.tables import alchemical_systems, more_for_a_call
 from benchmarks.dipoles.tables import dipole_memory, droplet_gains, largest_error
 from benchmarks.water.tables import costs_of_settings, reading_points
 
@@ -129,7 +129,7 @@ def test_figures_of_the_protein_tutorial_are_those_of_the_records():
     temperature = tables.mean_of(at_8_fs, "T_solute", 1)
     assert f"The temperature of villin in water is {temperature} K, the mean of nine runs" in measured
     energies = (tables.mean_of(some, "U", 2) for some in (at_8_fs, at_4_fs))
-    assert "For villin it is {} kJ/mol, and {} kJ/mol with".format(*energies) in measured
+    assert "The potential energy with villin is {} kJ/mol, and {} kJ/mol with".format(*energies) in measured
     for integrator, fs in (("W2_3m", "8.0"), ("W2_3m", "4.0"), ("LangevinMiddle", "2.0")):
         runs = tables.rows("protein_steps")
         at_pressure = [
@@ -287,6 +287,13 @@ def test_the_cost_of_water_from_27_molecules_on_is_in_the_record():
     ]
     most = max(float(row["median"]) for row in waters if row["system"] not in few and "two threads" not in row["run"])
     assert f"from 27 molecules on, that of water is at most {most:.2f}" in page("docs/explanation/benchmarks.md")
+
+
+def test_the_cost_of_alchemical_systems_is_in_the_record():
+    ratios = alchemical_systems()
+    text = page("docs/how-to/replica-exchange.md")
+    assert f"{ratios['CPU', 'W2_3m']} (`W2_3m`) and {ratios['CPU', 'BAOA']} (`BAOA`) times as long" in text
+    assert f"and {ratios['OpenCL', 'W2_3m']} and {ratios['OpenCL', 'BAOA']} times on PoCL" in text
 
 
 def page(name):
