@@ -32,7 +32,7 @@ def dipole_memory() -> str:
     few, many = (
         f"{row['process_MB']} MB with {int(row['n']):,} dipoles".replace(",", " ") for row in found[:: len(found) - 1]
     )
-    return f"{few}, {many}"
+    return f"{few} and {many}"
 
 
 def largest_error() -> float:

@@ -129,7 +129,7 @@ def test_figures_of_the_protein_tutorial_are_those_of_the_records():
     temperature = tables.mean_of(at_8_fs, "T_solute", 1)
     assert f"The temperature of villin in water is {temperature} K, the mean of nine runs" in measured
     energies = (tables.mean_of(some, "U", 2) for some in (at_8_fs, at_4_fs))
-    assert "The potential energy with villin is {} kJ/mol, and {} kJ/mol with".format(*energies) in measured
+    assert "with villin is {} kJ/mol per molecule of water, and {} kJ/mol with".format(*energies) in measured
     for integrator, fs in (("W2_3m", "8.0"), ("W2_3m", "4.0"), ("LangevinMiddle", "2.0")):
         runs = tables.rows("protein_steps")
         at_pressure = [
