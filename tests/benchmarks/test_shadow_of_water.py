@@ -48,12 +48,12 @@ def quartic(scheme, h, friction=0.2, walkers=40_000, steps=300):
             if substep == DRIFT:
                 x += part * h * p
             elif substep == KICK:
-                p -= part * h * x**3
+                p -= part * h * (x * x * x)  # a power takes ten times as long
             else:
                 fade = np.exp(-friction * part * h)
                 p = fade * p + np.sqrt(1.0 - fade**2) * rng.normal(size=walkers)
         if step >= steps // 4:
-            means.append((x**4).mean() / 4.0)
+            means.append(((x * x) ** 2).mean() / 4.0)
     blocks = np.array([block.mean() for block in np.array_split(means, 10)])
     return blocks.mean(), blocks.std(ddof=1) / np.sqrt(len(blocks))
 

@@ -20,7 +20,7 @@ from changes import (
     restraint,
     shown,
 )
-from products import spread_over
+from products import pairwise, spread_over
 
 
 def continued(run, how, system=None, place=None):
@@ -41,7 +41,7 @@ def first_step(context):
     context.getIntegrator().step(1)
 
 
-PROCESSORS = [*itertools.product(["S2_2", "W2_1", "W4_4"], ["host", "no library", "kernels"])]
+AXES = ["S2_2", "W2_1", "W4_4"], ["host", "no library", "kernels"]
 OPENCL = pytest.param("W2_1", "OpenCL", marks=pytest.mark.opencl)
 HOW = ["checkpoint", "State"]
 
@@ -49,7 +49,7 @@ HOW = ["checkpoint", "State"]
 @pytest.mark.parametrize(
     ("scheme", "place", "how", "looks"),
     [
-        *((*run, how, looks) for run in PROCESSORS for how in HOW for looks in (True, False)),
+        *pairwise(*AXES, HOW, (True, False)),
         *(pytest.param(*OPENCL.values, how, how == "State", marks=OPENCL.marks) for how in HOW),
     ],
 )
@@ -73,8 +73,7 @@ def test_what_is_saved_behind_a_change_continues_with_the_same_bits(scheme, plac
                 np.testing.assert_allclose(shown(other), shown(run.context), rtol=0.0, atol=1e-10, err_msg=str(change))
 
 
-@pytest.mark.parametrize("how", HOW)
-@pytest.mark.parametrize(("scheme", "place"), [*PROCESSORS, OPENCL])
+@spread_over({"scheme, place": [*itertools.product(*AXES), OPENCL], "how": HOW})
 def test_a_frozen_particle_that_is_moved_before_a_checkpoint_acts_from_its_new_place(scheme, place, how):
     run = Run(place, scheme, False)
     run.integrator.step(5)

@@ -2,7 +2,6 @@
 
 import _thread
 import gc
-import itertools
 import os
 import subprocess
 import sys
@@ -141,7 +140,7 @@ def test_every_kind_of_dynamics_is_performed(name):
 
 @EVERYWHERE
 def test_a_part_at_constant_energy_continues_where_another_integrator_stopped(platform, engine):
-    for scheme, start in itertools.product(("S2_2", "W2_1"), (WATER, atoms())):
+    for scheme, start in (("S2_2", atoms()), ("W2_1", WATER)):
         compound = compound_of(rb.ExactRigidBodyIntegrator(H, scheme, engine=engine), openmm.VerletIntegrator(H))
         context = moving(compound, platform, *start)
         compound.step(3)
@@ -183,7 +182,7 @@ def test_checkpoints_and_states_of_a_compound_continue_it(platform, engine):
 
 @EVERYWHERE
 def test_barostats_act_in_a_compound(platform, engine):
-    _, system, positions = rb.rigid_water(64, nonbondedMethod=openmm.app.PME, nonbondedCutoff=0.5)
+    _, system, positions = rb.rigid_water(64, nonbondedMethod=openmm.app.CutoffPeriodic, nonbondedCutoff=0.5)
     barostat = openmm.MonteCarloBarostat(1.0, 300.0, 2)
     barostat.setRandomNumberSeed(3)
     system.addForce(barostat)

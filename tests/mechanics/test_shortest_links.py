@@ -45,9 +45,12 @@ BOXES = None, 4.0 * np.eye(3), np.array([[5.0, 0.0, 0.0], [1.5, 4.0, 0.0], [-2.0
 
 
 def tree_lengths(x, box):
-    """Return the sorted lengths of the links of the tree, from all distances of all images."""
+    """Return the sorted lengths of the links of the tree, from all distances of all images.
+
+    Of images next to each other: in these boxes, others are farther away than half a diagonal.
+    """
     gap = x[:, None] - x[None]
-    offered = [np.zeros(3)] if box is None else np.array(list(itertools.product(range(-2, 3), repeat=3))) @ box
+    offered = [np.zeros(3)] if box is None else np.array(list(itertools.product((-1, 0, 1), repeat=3))) @ box
     gap -= 0.0 if box is None else np.round(gap @ np.linalg.inv(box)) @ box
     distances = np.min([np.linalg.norm(gap + offset, axis=2) for offset in offered], axis=0)
     found = minimum_spanning_tree(distances + 1.0).data - 1.0  # scipy takes a zero for a missing link
