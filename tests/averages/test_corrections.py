@@ -45,6 +45,7 @@ def cosine(x):
     return float((pairs[:, 1, 2] - pairs[:, 0, 2]).mean() / 0.2)
 
 
+@pytest.mark.validate
 def test_the_correction_of_rotors_in_a_field_leads_to_the_exact_average(tmp_path):
     """The average of Langevin is coth(a) - 1/a; the uncorrected one is more than six errors off.
 

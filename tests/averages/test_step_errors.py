@@ -121,7 +121,8 @@ def test_the_energy_of_an_oscillator_is_right_to_fourth_order(name):
         assert abs(left[1]) < 1e-12 or np.log2(left[0] / left[1]) == pytest.approx(6.0, abs=0.3)
 
 
-@pytest.mark.parametrize("field", [10.0, pytest.param(20.0, marks=pytest.mark.validate)])
+@pytest.mark.validate
+@pytest.mark.parametrize("field", [10.0, 20.0])
 def test_the_fourth_order_of_oscillators_is_most_of_that_of_a_rotor_in_a_strong_field(field):
     """Librations of water are less anharmonic: they have the amplitude of a rotor in a field of more than 20 kT."""
     system, scheme, friction = Rotor(field), steps_of("W2_3m")[0], 0.3 * np.sqrt(field)

@@ -42,12 +42,19 @@ def bonded_apart(system):
 
 
 @cache
-def _in_water(constraints, waters):
+def _solvated(edge):
+    """Return topology and positions of the peptide in a box of water, and the number of its atoms."""
     pdb = app.PDBFile(str(PEPTIDE))
     modeller = app.Modeller(pdb.topology, pdb.positions)
-    modeller.addSolvent(FORCE_FIELD, boxSize=openmm.Vec3(2.2, 2.2, 2.2) * unit.nanometer)
-    x = np.array(modeller.positions.value_in_unit(unit.nanometer))
-    peptide = pdb.topology.getNumAtoms()
+    modeller.addSolvent(FORCE_FIELD, boxSize=openmm.Vec3(edge, edge, edge) * unit.nanometer)
+    return modeller.topology, modeller.positions, pdb.topology.getNumAtoms()
+
+
+@cache
+def _in_water(constraints, waters):
+    topology, positions, peptide = _solvated(2.2)
+    modeller = app.Modeller(topology, positions)
+    x = np.array(positions.value_in_unit(unit.nanometer))
     water = [residue for residue in modeller.topology.residues() if residue.name == "HOH"]
     water.sort(key=lambda residue: np.linalg.norm(x[next(residue.atoms()).index] - x[:peptide], axis=1).min())
     modeller.delete(water[waters:])
@@ -61,12 +68,10 @@ def _in_water(constraints, waters):
 
 def in_box(edge=2.1, cutoff=0.85):
     """Return topology, System and positions (nm) of alanine dipeptide in a periodic box of rigid TIP3P."""
-    pdb = app.PDBFile(str(PEPTIDE))
-    modeller = app.Modeller(pdb.topology, pdb.positions)
-    modeller.addSolvent(FORCE_FIELD, boxSize=openmm.Vec3(edge, edge, edge) * unit.nanometer)
+    topology, positions, _ = _solvated(edge)
     options = {"nonbondedMethod": app.CutoffPeriodic, "nonbondedCutoff": cutoff, "removeCMMotion": False}
-    system = FORCE_FIELD.createSystem(modeller.topology, constraints=app.HBonds, **options)
-    return modeller.topology, system, np.array(modeller.positions.value_in_unit(unit.nanometer))
+    system = FORCE_FIELD.createSystem(topology, constraints=app.HBonds, **options)
+    return topology, system, np.array(positions.value_in_unit(unit.nanometer))
 
 
 def in_water(constraints="HBonds", waters=6):

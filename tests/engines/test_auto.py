@@ -1,5 +1,6 @@
 """engine="auto" takes the kernels on Reference and CPU for what users simulate, and says so."""
 
+import copy
 from functools import cache, partial
 from pathlib import Path
 
@@ -32,13 +33,19 @@ def water(*forces, model="tip3p"):
 
 
 @cache
-def peptide(heavy=False):
+def in_box():
     topology, system, positions = peptides.in_box()
     context = context_of(system, openmm.VerletIntegrator(0.001), positions, platform=CPU)
-    openmm.LocalEnergyMinimizer.minimize(context, 10.0, 300)
+    openmm.LocalEnergyMinimizer.minimize(context, 10.0, 100)
+    return topology, system, positions_of(context)
+
+
+def peptide(heavy=False):
+    topology, system, positions = in_box()
+    system = copy.deepcopy(system)
     if heavy:
         rb.heavy_hydrogens(system, topology)
-    return system, positions_of(context), {}
+    return system, positions, {}
 
 
 @cache

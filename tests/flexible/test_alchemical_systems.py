@@ -147,7 +147,7 @@ def test_angles_of_a_formula_are_as_fast_as_they_are(theta0):
 # -- steps ------------------------------------------------------------------------------------------------------------
 
 
-@spread_over({"scheme, friction": SCHEMES, "platform": PLATFORMS}, times=2, indirect=["platform"])
+@spread_over({"scheme, friction": SCHEMES, "platform": PLATFORMS}, indirect=["platform"])
 def test_engines_agree_while_parameters_change(scheme, friction, platform):
     _, system, x = in_water("HBonds", 6)
     contexts = pair(alchemical(system), x, maker(scheme, friction=friction, fast="bonded"), platform=platform)

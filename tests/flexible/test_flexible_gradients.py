@@ -21,7 +21,7 @@ pytestmark = pytest.mark.library
 TOLERANCES = {"native": 2e-12, "Reference": 1e-14}
 
 
-def assert_as_on_host(start, make, where, n=20):
+def assert_as_on_host(start, make, where, n=10):
     """Compare positions of both engines after n steps, and return the Context of the native engine."""
     _, system, x = start
     contexts = pair(system, x, make, platform=where[1])

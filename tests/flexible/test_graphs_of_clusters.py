@@ -22,7 +22,7 @@ def test_clusters_of_all_graphs_move_as_on_the_host(scheme, where):
     make = maker(scheme, 0.002)
     contexts = pair(system, x, make, platform=where[1])
     for context in contexts:
-        context.getIntegrator().step(20)
+        context.getIntegrator().step(10)
     assert contexts[1].getIntegrator().getEngine() == "native"
     assert apart(*contexts) < {"native": 1e-13, "Reference": 1e-14}[where[0]]
     length, slip = violations(system, *held(contexts[1]))

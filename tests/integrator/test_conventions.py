@@ -13,7 +13,7 @@ from every_integrator import WAYS
 from openmm_exactrb.library.library import of_library
 from openmm_exactrb.thermostats import HybridMonteCarlo, Langevin, NoseHooverChain, StochasticRescaling
 from places import platform_for
-from products import spread
+from products import spread, spread_over
 from starts import held, positions_of, velocities_of
 
 H, T = 0.001, 300.0
@@ -262,7 +262,7 @@ def test_states_are_saved_and_loaded(run, tmp_path):
     assert other.context.getTime()._value == pytest.approx(4 * H, rel=1e-12)
 
 
-@pytest.mark.parametrize("way", WAYS)
+@spread_over({"anything": KINDS, "way": WAYS}, times=2, indirect=["anything"])
 def test_copies_are_of_the_same_class_and_move_alike(anything, way):
     integrator = anything.integrator()
     simulation = anything.simulation(integrator)

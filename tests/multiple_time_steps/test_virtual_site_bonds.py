@@ -14,6 +14,7 @@ from openmm_exactrb.multiple_time_steps.resonance import Resonances
 from openmm_exactrb.multiple_time_steps.stiffness import frequencies
 from openmm_exactrb.schemes import splitting
 from places import REFERENCE
+from products import spread_over
 from starts import context_of, positions_of, system_of
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -129,8 +130,7 @@ def started(system, x, h, scheme="S2_2", **options):
     return integrator, context
 
 
-@pytest.mark.parametrize("rigid", [True, False], ids=["rigid", "flexible"])
-@pytest.mark.parametrize("name", SITES)
+@spread_over({"name": SITES, "rigid": [True, False]})
 @settings(max_examples=1, deadline=None)
 @given(SEEDS)
 def test_inner_steps_apply_the_forces_on_sites(name, rigid, seed):
@@ -161,7 +161,7 @@ def spread(system, x, **options):
 
 
 @pytest.mark.parametrize("name", ["TIP4P", "TIP5P", "local"])
-@settings(max_examples=2, deadline=None)
+@settings(max_examples=1, deadline=None)
 @given(SEEDS, st.floats(3.0, 4.0))
 def test_stiff_bonds_of_sites_have_inner_steps_by_default(name, seed, omega):
     """The frequency of the bond, in units of that above which the kicks are too far apart."""

@@ -83,7 +83,7 @@ def test_parallel_dipoles_on_a_cubic_lattice_feel_the_field_of_lorentz(side):
     assert energy == pytest.approx(-2.0 * np.pi / 3.0 * len(R) * (mu @ mu) / a**3, rel=1e-11)
 
 
-@pytest.mark.parametrize("n", [27, 125])
+@pytest.mark.parametrize("n", [27, pytest.param(125, marks=pytest.mark.validate)])
 def test_a_liquid_has_the_energy_and_the_fields_of_a_plain_sum(n):
     R, mu, box = liquid(n)
     energy, forces = dipoles_alone(sites_of(R, mu), 3 * [box])
@@ -99,7 +99,7 @@ def amoeba_energy(R, mu, box):
     force.setPolarizationType(force.Direct)
     force.setCutoffDistance(0.499 * box)
     force.setAEwald(8.0 / box)
-    force.setPmeGridDimensions([96, 96, 96])
+    force.setPmeGridDimensions([64, 64, 64])
     strength = float(np.linalg.norm(mu[0])) / rb.dipole_strength(1.0 * unit.elementary_charge * unit.nanometer)
     for i in range(len(R)):
         system.addParticle(1.0)
@@ -158,12 +158,12 @@ def gas(n):
     [
         (liquid, 27, None, 0.5),
         (liquid, 27, None, 0.9),
-        (liquid, 216, 1.5, 0.9),
+        (liquid, 125, 1.5, 0.9),
         (gas, 64, None, 0.5),
         (gas, 64, None, 0.9),
         *(
             pytest.param(*case, marks=pytest.mark.validate)
-            for case in ((liquid, 216, None, 0.5), (liquid, 216, 1.5, 0.5), (gas, 216, 3.0, 0.9))
+            for case in ((liquid, 216, 1.5, 0.9), (liquid, 216, None, 0.5), (liquid, 216, 1.5, 0.5), (gas, 216, 3.0, 0.9))
         ),
     ],
 )
@@ -198,19 +198,19 @@ def test_moved_by_whole_boxes_a_liquid_is_the_same(rng):
 
 
 def test_a_dipole_feels_its_images():
-    """Alone in a cube, the field of Lorentz; three in a slab, what they feel in a cube of 36 slabs."""
+    """Alone in a cube, the field of Lorentz; three in a slab, what they feel in a cube of six slabs."""
     mu, box = np.array([0.3, -0.5, 0.8]), 1.7
     _, forces = dipoles_alone(sites_of(np.full((1, 3), 0.4), mu[None]), 3 * [box])
     np.testing.assert_allclose(forces[1], 4.0 * np.pi / 3.0 * mu / box**3, rtol=1e-11)
 
-    edges = np.array([1.0, 2.0, 3.0])
+    edges = np.array([1.0, 1.5, 3.0])
     rng = np.random.default_rng(2)
     R, mu = edges * rng.random((3, 3)), rng.standard_normal((3, 3))
     energy, forces = dipoles_alone(sites_of(R, mu), edges)
-    shifts = edges * np.argwhere(np.ones((6, 3, 2)))
-    exact, field = dipole_ewald((R + shifts[:, None]).reshape(-1, 3), np.tile(mu, (36, 1)), 6.0, 11.0 / 6.0)
+    shifts = edges * np.argwhere(np.ones((3, 2, 1)))
+    exact, field = dipole_ewald((R + shifts[:, None]).reshape(-1, 3), np.tile(mu, (6, 1)), 3.0, 11.0 / 3.0)
     np.testing.assert_allclose(forces[1::2], field[:3], rtol=0.0, atol=1e-10 * np.abs(field).max())
-    assert energy == pytest.approx(exact / 36.0, rel=1e-9)
+    assert energy == pytest.approx(exact / 6.0, rel=1e-9)
     np.testing.assert_allclose(forces.sum(axis=0), 0.0, atol=1e-12 * np.abs(forces).max())
 
 

@@ -14,10 +14,12 @@ TEXTS = {
 
 def statements(node):
     """Yield all statements of a tree; those within others too."""
-    for child in ast.iter_child_nodes(node):
-        if not isinstance(child, ast.expr):
-            yield child
-            yield from statements(child)
+    left = [node]
+    while left:
+        for child in ast.iter_child_nodes(left.pop()):
+            if not isinstance(child, ast.expr):
+                yield child
+                left.append(child)
 
 
 def lines_of(function):
