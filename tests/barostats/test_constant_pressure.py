@@ -110,7 +110,7 @@ def test_a_barostat_acts_where_the_next_kick_does(flexible, engine):
         _, system, positions = in_box()
         held_to = context_of(system, openmm.VerletIntegrator(0.001), positions)
         held_to.applyConstraints(1e-9)
-        positions, options = positions_of(held_to), {"fast": "bonded"}
+        positions, options = positions_of(held_to), {"fast": "bonded", "steps": 6}
     else:
         _, system, positions = rb.rigid_water(27, nonbondedMethod=app.CutoffPeriodic, nonbondedCutoff=0.4)
         options = {}

@@ -99,7 +99,7 @@ def amoeba_energy(R, mu, box):
     force.setPolarizationType(force.Direct)
     force.setCutoffDistance(0.499 * box)
     force.setAEwald(8.0 / box)
-    force.setPmeGridDimensions([64, 64, 64])
+    force.setPmeGridDimensions([96, 96, 96])
     strength = float(np.linalg.norm(mu[0])) / rb.dipole_strength(1.0 * unit.elementary_charge * unit.nanometer)
     for i in range(len(R)):
         system.addParticle(1.0)
@@ -163,7 +163,10 @@ def gas(n):
         (gas, 64, None, 0.9),
         *(
             pytest.param(*case, marks=pytest.mark.validate)
-            for case in ((liquid, 216, 1.5, 0.9), (liquid, 216, None, 0.5), (liquid, 216, 1.5, 0.5), (gas, 216, 3.0, 0.9))
+            for case in (
+                *((liquid, 216, *of) for of in ((None, 0.5), (1.5, 0.5), (1.5, 0.9))),
+                (gas, 216, 3.0, 0.9),
+            )
         ),
     ],
 )

@@ -118,7 +118,7 @@ PRECISIONS = [
 ]
 
 
-def shaken(kernel, platform="Reference", properties=None, integrator=None, n=40):
+def shaken(kernel, platform="Reference", properties=None, integrator=None, n=32):
     """Return the Context of a dilute fluid, its positions (n, 5, 3) and the edge of its box."""
     _, system, positions = rb.dipole_fluid(n, attraction=1.0, kernel=kernel, **SHORT)
     integrator = integrator or openmm.VerletIntegrator(0.001)
@@ -237,7 +237,7 @@ def test_a_box_that_is_too_small_for_rods_is_refused():
 @in_pairs({"frequency": [1, 3], "scheme": ["BAOAB", "W2_3m"], "engine": ["host", "native"]})
 def test_a_barostat_ends_a_run_where_the_box_becomes_too_small(frequency, scheme, engine):
     """OpenMM accepts trials whose energy is nan."""
-    _, system, positions = rb.dipole_fluid(8, attraction=1.0, kernel="bonds", **SHORT | {"density": 0.1})
+    _, system, positions = rb.dipole_fluid(8, attraction=1.0, kernel="bonds", **SHORT | {"density": 0.2})
     barostat = openmm.MonteCarloBarostat(3000.0, 100.0, frequency)
     barostat.setRandomNumberSeed(5)
     system.addForce(barostat)

@@ -167,12 +167,13 @@ def test_without_forces_the_heat_is_what_openmm_finds_in_the_velocities(removes,
             assert mean == pytest.approx(0.5 * sum(kinetic[-2:]), rel=1e-11)
 
 
-@in_pairs(
+@spread_over(
     {
         "case": ["water", "clusters of two exchanges", "inner steps"],
         "kind": ["checkpoint", "State"],
         "platform": PLATFORMS,
     },
+    times=2,
     indirect=["platform"],
 )
 def test_saved_runs_go_on_with_their_heat(case, kind, platform):
