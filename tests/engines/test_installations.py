@@ -105,6 +105,8 @@ def assert_in_python(printed, logged, why):
 FAST = 'exec c++ "$@" -O0'
 # A compiler with a static C++ library of its own, which is usual on Linux alone.
 STATIC = 'exec c++ -static-libstdc++ "$@" -O0' if sys.platform == "linux" else FAST
+# A compiler that begins to write and does not end.
+ENDLESS = 'test "$1" = --version && exec c++ "$1"; while [ "$1" != -o ]; do shift; done; : > "$2"; exec sleep 600'
 ON_DEVICE = """
 import openmm
 import openmm_exactrb as rb
@@ -120,7 +122,7 @@ print(integrator.getEngine())
 
 @needs_compiler
 def test_many_processes_compile_once_and_a_killed_one_does_no_harm(machine):
-    machine.install(STATIC)
+    machine.install(ENDLESS)
     killed = machine.start()
     while not list(machine.cache.glob(f"{compilation.TEMPORARY}*/*")):  # the compiler writes
         assert killed.poll() is None, killed.communicate()
@@ -129,6 +131,7 @@ def test_many_processes_compile_once_and_a_killed_one_does_no_harm(machine):
     killed.communicate()
     assert list(machine.cache.glob(f"{compilation.TEMPORARY}*"))
     machine.log.unlink()
+    machine.install(STATIC)
     with ThreadPoolExecutor(3) as workers:
         runs = list(workers.map(lambda _: machine.run(), range(3)))
     logged = [line for _, lines in runs for line in lines]

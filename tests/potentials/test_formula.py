@@ -111,10 +111,10 @@ def test_a_cutoff_whose_tips_have_other_nearest_images_is_refused():
 
 SHORT = {"density": 0.4, "boundary": rb.ReactionField(cutoff=1.3), "sphere_cutoff": 1.5, "perturbation": 0.1}
 PRECISIONS = [
-    pytest.param("Reference", {}, 1e-12, id="Reference"),
-    pytest.param("CPU", {}, 1e-12, id="CPU"),
-    pytest.param("OpenCL", {"Precision": "double"}, 1e-12, marks=pytest.mark.opencl, id="OpenCL double"),
-    pytest.param("OpenCL", {"Precision": "single"}, 2e-5, marks=pytest.mark.opencl, id="OpenCL single"),
+    pytest.param(("Reference", {}, 1e-12), id="Reference"),
+    pytest.param(("CPU", {}, 1e-12), id="CPU"),
+    pytest.param(("OpenCL", {"Precision": "double"}, 1e-12), marks=pytest.mark.opencl, id="OpenCL double"),
+    pytest.param(("OpenCL", {"Precision": "single"}, 2e-5), marks=pytest.mark.opencl, id="OpenCL single"),
 ]
 
 
@@ -141,10 +141,17 @@ def in_box(context, x, box, images=2):
     return evaluated(context)
 
 
-@pytest.mark.parametrize(("platform", "properties", "tolerance"), PRECISIONS)
-def test_bonds_follow_the_box_of_any_context(platform, properties, tolerance):
-    """Nobody tells the force of the box, so that every integrator, barostat, State and minimiser is served."""
+@pytest.fixture(scope="module", params=PRECISIONS)
+def everywhere(request):
+    """Return the Context of bonds on a platform, that of the compiled kernel, positions, edge and a tolerance."""
+    platform, properties, tolerance = request.param
     (bonds, x, edge), (compiled, _, _) = shaken("bonds", platform, properties), shaken("compiled")
+    return bonds, compiled, x, edge, tolerance
+
+
+def test_bonds_follow_the_box_of_any_context(everywhere):
+    """Nobody tells the force of the box, so that every integrator, barostat, State and minimiser is served."""
+    bonds, compiled, x, edge, tolerance = everywhere
     edges = [
         (1.0, 1.0, 1.0),
         (0.98, 1.0, 1.3),
@@ -161,9 +168,8 @@ def test_bonds_follow_the_box_of_any_context(platform, properties, tolerance):
         np.testing.assert_allclose(found[1], expected[1], rtol=0.0, atol=max(1e-8, tolerance * abs(expected[1]).max()))
 
 
-@pytest.mark.parametrize(("platform", "properties", "tolerance"), PRECISIONS)
-def test_where_bonds_do_not_know_the_box_their_energy_is_no_number(platform, properties, tolerance):
-    bonds, x, edge = shaken("bonds", platform, properties)
+def test_where_bonds_do_not_know_the_box_their_energy_is_no_number(everywhere):
+    bonds, compiled, x, edge, tolerance = everywhere
     wrong = [
         (0.5, 0.5, 0.5),
         (1 / 3, 1 / 3, 1 / 3),
@@ -174,9 +180,12 @@ def test_where_bonds_do_not_know_the_box_their_energy_is_no_number(platform, pro
     ]
     wrong += [(0.641, 1.0, 1.0), (0.6, 0.7, 2.2), (4.0, 0.25, 1.0), (10.0, 10.0, 10.0)]  # the first is too small a box
     assert all(np.isnan(in_box(bonds, x, edge * np.diag(factors))[0]) for factors in wrong)
-    for name in ("box_x", "box_y", "box_z"):
+    known = {name: bonds.getParameter(name) for name in ("box_x", "box_y", "box_z")}
+    for name in known:
         bonds.setParameter(name, 3.0 * edge)
-    found, expected = (in_box(context, x, 3.0 * edge * np.eye(3), 0) for context in (bonds, shaken("compiled")[0]))
+    found, expected = (in_box(context, x, 3.0 * edge * np.eye(3), 0) for context in (bonds, compiled))
+    for name, value in known.items():
+        bonds.setParameter(name, value)
     assert found[0] == pytest.approx(expected[0], rel=tolerance, abs=tolerance)
 
 
