@@ -175,7 +175,7 @@ def test_changed_parameters_are_those_of_a_new_context(scheme, friction, platfor
     assert apart(old, new) < ROUNDOFF
 
 
-@pytest.mark.parametrize("fast", [(1,), "bonded"])
+@spread_over({"platform": PLATFORMS, "fast": [(1,), "bonded"]}, indirect=["platform"])
 def test_a_fast_group_of_custom_forces_has_kernels(fast, platform):
     _, system, x = in_water("HBonds", 6)
     system = alchemical(system)

@@ -11,12 +11,14 @@ from openmm_exactrb.engines.native.flexible.blocks import blocks_of
 from openmm_exactrb.engines.native.flexible.molecules import LARGEST, require_small_clusters
 from openmm_exactrb.errors import NotServedError
 from peptides import violations
+from places import WHERE
+from products import spread_over
 from starts import held
 
 pytestmark = pytest.mark.library
 
 
-@pytest.mark.parametrize("scheme", ["S2_2", "S6_10"])
+@spread_over({"scheme": ["S2_2", "S6_10"], "where": WHERE}, indirect=["where"])
 def test_clusters_of_all_graphs_move_as_on_the_host(scheme, where):
     system, x = system_of(GRAPHS.values())
     make = maker(scheme, 0.002)

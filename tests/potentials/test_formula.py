@@ -9,7 +9,7 @@ import openmm_exactrb as rb
 from force_laws import assert_lawful, evaluated
 from openmm_exactrb.openmm_access.platforms import DEVICES
 from places import REFERENCE, device_platform
-from products import in_pairs
+from products import in_pairs, spread_over
 from soft_dipoles import FIELD, arrows, assert_same, fluid
 from starts import context_of, positions_of
 
@@ -206,15 +206,16 @@ def test_bonds_refuse_a_triclinic_box(tilt, place, of_bonds):
         context.getIntegrator().step(1)
 
 
-@pytest.mark.parametrize(
-    ("kernel", "scale", "message"),
-    [
-        ("bonds", 3.0, r"edges from 0.62 to 2.1 times .* not 3 times: set these parameters"),
-        ("bonds", 0.6, r"edges of at least 3 nm, not 2.78\d* nm: use a larger box"),
-        ("openmm", 0.9, r"edges of at least 4.6 nm, not 4.17\d* nm: use a larger box, or .* shorter cutoffs"),
-    ],
+@spread_over(
+    {
+        "kernel, scale, message": [
+            ("bonds", 3.0, r"edges from 0.62 to 2.1 times .* not 3 times: set these parameters"),
+            ("bonds", 0.6, r"edges of at least 3 nm, not 2.78\d* nm: use a larger box"),
+            ("openmm", 0.9, r"edges of at least 4.6 nm, not 4.17\d* nm: use a larger box, or .* shorter cutoffs"),
+        ],
+        "ours": [True, False],
+    }
 )
-@pytest.mark.parametrize("ours", [True, False])
 def test_a_box_in_which_a_formula_is_wrong_is_refused(kernel, scale, message, ours, tmp_path):
     """By our integrators at the next step, and with one of OpenMM's by the reporter of averages."""
     kind = rb.ExactRigidBodyLangevinIntegrator if ours else openmm.LangevinMiddleIntegrator
