@@ -31,8 +31,19 @@ def of_dipoles():
             summed(x, boundary, edge and 3 * [edge], **spheres)
 
 
+def of_ellipsoids():
+    """Compile the sum over ellipsoids."""
+    import openmm
+
+    import openmm_exactrb as rb
+    from starts import context_of
+
+    _, system, positions = rb.ellipsoids(36, cutoff=2.4)
+    context_of(system, openmm.VerletIntegrator(0.001), positions).getState(energy=True, forces=True)
+
+
 def at_once():
     """Compile in two processes."""
     with ProcessPoolExecutor(2, get_context("spawn")) as pool:
-        for done in [pool.submit(of_dipoles), pool.submit(of_library)]:
+        for done in [pool.submit(of_dipoles), pool.submit(of_library), pool.submit(of_ellipsoids)]:
             done.result()
