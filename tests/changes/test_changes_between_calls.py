@@ -96,7 +96,7 @@ def test_changes_that_openmm_does_not_report_are_noticed(scheme, place):
         assert_goes_on_from_what_is_shown(run)
 
 
-@spread_over({"scheme": ["S2_2", "W2_1", "W4_4"], "place": PLACES})
+@spread_over({"place": PLACES, "scheme": ["S2_2", "W2_1", "W4_4"]})
 def test_looking_for_such_changes_alters_no_bit(scheme, place):
     ends = []
     for calls in ([6], [1, 3, 2]):
