@@ -285,8 +285,7 @@ SEQUENCE = (0, 7), (5, 23), (2, 7), (9, 40), (0, 3), (40, 33), (3, 20), (0, 11),
 
 @spread_over(
     {
-        "scheme": ["S2_2", "W2_1", "BAOA", "W2_3m"],
-        "others": ["nothing", "remover", "thermostat"],
+        "scheme, others": [("S2_2", "thermostat"), ("W2_1", "remover"), ("BAOA", "nothing"), ("W2_3m", "remover")],
         "engine": HOST_AND_NATIVE,
     }
 )
