@@ -55,7 +55,6 @@ KINDS = {
     "LangevinMiddle 2 fs": Kind("LangevinMiddle", 2.0),
     "LangevinMiddle 4 fs": Kind("LangevinMiddle", 4.0),
     "BAOA 8 fs": Kind("BAOA", 8.0),
-    "W2_3m 8 fs": Kind("W2_3m", 8.0),
 }
 REFERENCE = next(iter(KINDS))
 
@@ -147,7 +146,7 @@ def main() -> None:
     add("folder", type=Path, help="of free energies")
     add("--kinds", nargs="+", choices=KINDS, default=[*KINDS], help="%(default)s")
     add("--seeds", nargs="+", type=int, default=[1, 2, 3], help="%(default)s")
-    add("--forces", type=int, default=5_000_000, help="of a run, four times for the reference (%(default)s)")
+    add("--forces", type=int, default=2_500_000, help="of a run, four times for the reference (%(default)s)")
     add("--record", type=Path, default=RECORDS / "metadynamics.csv", metavar="CSV", help="%(default)s")
     add("--table", action="store_true", help="print the differences, and make nothing")
     args = parser.parse_args()
