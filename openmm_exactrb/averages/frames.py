@@ -7,7 +7,6 @@ field w = M⁻¹f_s.
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, partial
 from typing import Any, NamedTuple
@@ -174,10 +173,8 @@ class _VirtualSites:
 
     @cached_property
     def _own(self) -> openmm.Context:
-        system = copy.deepcopy(self._system)
-        while system.getNumForces():  # which are not evaluated, but make Contexts slow
-            system.removeForce(0)
-        return openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
+        platform = openmm.Platform.getPlatform("Reference")
+        return openmm.Context(self._system, openmm.VerletIntegrator(0.001), platform)
 
     def follow(self, x: Array, field: Array) -> None:
         """Write the velocities of virtual sites, which follow from those of other particles, into a field."""

@@ -149,3 +149,20 @@ def test_the_pressure_has_the_parameters_of_the_context(tmp_path):
         found.append(read(file)[1]["pressure"][0])
     before, after = found
     assert after - before == pytest.approx(-50.0 * BAR, rel=1e-5)
+
+
+def test_sites_follow_beside_a_force_that_cannot_be_copied(tmp_path):
+    """A function that is not at the top level of a module is not saved with a System."""
+    topology, system, positions = rb.rigid_water(8, model="tip4pew")
+    nothing = np.zeros((system.getNumParticles(), 3))
+    system.addForce(openmm.PythonForce(lambda state: (0.0, nothing)))
+    integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 5.0, 0.002)
+    simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
+    simulation.context.setPositions(positions)
+    reporter = rb.AverageReporter(tmp_path / "averages.csv", 1, observables={"site": lambda x: x[3, 0]})
+    simulation.reporters.append(reporter)
+    simulation.step(2)
+    reporter.close()
+    values = read(tmp_path / "averages.csv")[1]
+    assert len(values["site"]) == 2
+    assert np.isfinite(values["site"]).all()
