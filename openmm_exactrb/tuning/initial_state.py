@@ -73,8 +73,20 @@ class InitialState:
 
 
 def conservative(system: openmm.System) -> tuple[openmm.System, list[str]]:
-    """Return a copy of a System without thermostats, barostats and motion removers, and the names of those that act."""
-    twin = copy.deepcopy(system)
+    """Return a copy of a System without thermostats, barostats and motion removers, and the names of those that act.
+
+    Raises
+    ------
+    ValueError
+        If a force cannot be copied.
+    """
+    try:
+        twin = copy.deepcopy(system)
+    except openmm.OpenMMException as error:  # the function of a PythonForce that pickle does not support
+        raise ValueError(
+            "integrators are compared in copies of the System, which cannot be copied: define the function of each "
+            f"PythonForce at the top level of a module ({error})"
+        ) from error
     for i in reversed(range(twin.getNumForces())):
         if type(twin.getForce(i)).__name__ in UPDATES:
             twin.removeForce(i)

@@ -51,6 +51,13 @@ def flying_apart():
     thermalised(at_rest(system, positions._value + np.array([0.5, 0.0, 0.0])), 300.0, 1, False, PLENTY)
 
 
+def with_a_force_of_its_own():
+    """Its function is not at the top level of a module."""
+    _, system, positions = rb.rigid_water(2)
+    system.addForce(openmm.PythonForce(lambda _: (0.0, np.zeros((6, 3)))))
+    tuned(system=system, start=positions)
+
+
 def beside_a_wall():
     """No step is short enough for it."""
     system, force = openmm.System(), openmm.CustomExternalForce("x+1e14*step(x-1e-7)*(x-1e-7)^2")
@@ -91,6 +98,7 @@ def beside_a_wall():
     (lambda: from_state(energy=True), "the State contains no positions"),
     (lambda: from_state(positions=True), "all velocities of the start are zero"),
     (with_a_thermostat, "contains a thermostat, but the integrator has none"),
+    (with_a_force_of_its_own, "define the function of each PythonForce at the top level of a module"),
     (flying_apart, "300 K was not reached from the given start"),
     (beside_a_wall, r"every short run at .* K from the given start diverges: minimise"),
     (
