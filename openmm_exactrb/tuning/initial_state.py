@@ -82,7 +82,7 @@ def conservative(system: openmm.System) -> tuple[openmm.System, list[str]]:
     """
     try:
         twin = copy.deepcopy(system)
-    except openmm.OpenMMException as error:  # the function of a PythonForce that pickle does not support
+    except Exception as error:  # serialising a PythonForce may raise any error of pickle
         raise ValueError(
             "integrators are compared in copies of the System, which cannot be copied: define the function of each "
             f"PythonForce at the top level of a module ({error})"
