@@ -33,8 +33,8 @@ def pytest_configure(config):
     # The library of the native engine, also where there is no home folder to write to.
     os.environ.setdefault("EXACTRB_CACHE", str(config.rootpath / ".pytest_cache" / "library"))
     if workers := config.getoption("numprocesses", None):  # they share the cores, and inherit this
-        for library in ("OPENMM_CPU", "OPENBLAS_NUM"):  # of forces, and of matrices in NumPy and SciPy
-            os.environ.setdefault(f"{library}_THREADS", str(max(1, (os.cpu_count() or 1) // workers)))
+        for threads in ("OPENMM_CPU_THREADS", "OPENBLAS_NUM_THREADS"):  # the latter for matrices in NumPy and SciPy
+            os.environ.setdefault(threads, str(max(1, (os.cpu_count() or 1) // workers)))
         if not config.option.collectonly:
             compilation.at_once()
     if not config.getoption("--validate"):  # PoCL compiles twice as fast, and optimised texts run on processors

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -53,19 +54,15 @@ def box_energies() -> str:
 def long_box_energies() -> str:
     """Return the energy errors of a periodic box of TIP3P over 300 ps, and their slopes and gains by start."""
     runs = {(row["method"], row["start"]): row for row in rows("energy_drift") if row["molecules"] == "216"}
-    starts, body = sorted({start for _, start in runs}), []
+    verlet = {start: float(row["std_300_ps"]) for (name, start), row in runs.items() if name == energy_drift.VERLET}
+    starts, body = sorted(verlet), []
     for method in dict.fromkeys(method for method, _ in runs):
         some = [runs[method, start] for start in starts if (method, start) in runs]
-        stds = ([float(row[f"std_{window}_ps"]) for row in some] for window in energy_drift.WINDOWS)
-        cells = [f"{math.sqrt(sum(std * std for std in of) / len(of)):.1e}" for of in stds]
-        cells.append(", ".join(f"{float(row['drift_a_ns']):.1e}" for row in some))
-        gains = (
-            f"{float(runs[energy_drift.VERLET, row['start']]['std_300_ps']) / float(row['std_300_ps']):.2g}"
-            for row in some
-        )
-        name = method if method == energy_drift.VERLET else f"`{method}`"
-        gain = "" if method == energy_drift.VERLET else ", ".join(gains)
-        body.append((name, *(cell.replace("e-0", "e-") for cell in cells), gain))
+        gains = (verlet[row["start"]] / float(row["std_300_ps"]) for row in some)
+        name, gain = f"`{method}`", ", ".join(f"{ratio:.2g}" for ratio in gains)
+        if method == energy_drift.VERLET:
+            name, gain = method, ""
+        body.append((name, *_drifts(some, energy_drift.WINDOWS), gain))
     windows = (f"{window} ps" for window in energy_drift.WINDOWS)
     return table(("TIP3P", *windows, "slope per ns", "times less than Verlet over 300 ps"), body)
 
@@ -80,14 +77,19 @@ def energy_drifts() -> str:
         of = some[0]
         precision = "double" if of["platform"] == "Reference" else "single"
         tolerances = (f"{float(of[name]):.0e}" for name in ("direct", "tolerance"))
-        values = np.array([[float(row[f"std_{window}_ps"]) for window in windows] for row in some])
-        stds = (f"{std:.1e}" if np.isfinite(std) else "" for std in np.sqrt(np.square(values).mean(axis=0)))
-        slopes = ", ".join(f"{float(row['drift_a_ns']):.1e}" for row in some)
         length = f"{len(some)} x {float(of['picoseconds']):g} ps"
-        cells = (f"{float(of['fs']):g} fs", precision, *tolerances, length, *stds, slopes)
-        body.append([cell.replace("e-0", "e-") for cell in cells])
+        settings = (f"{float(of['fs']):g} fs", precision, *(text.replace("e-0", "e-") for text in tolerances))
+        body.append((*settings, length, *_drifts(some, windows)))
     head = ("interval", "precision", "tolerance of direct sum", "of mesh", "", *(f"{window} ps" for window in windows))
     return table((*head, "slope per ns"), body)
+
+
+def _drifts(some: list[Row], windows: Sequence[int]) -> list[str]:
+    """Return the root mean squares over runs of the standard deviations within windows, and the slopes of the runs."""
+    values = np.array([[float(row[f"std_{window}_ps"]) for window in windows] for row in some])
+    stds = (f"{std:.1e}" if np.isfinite(std) else "" for std in np.sqrt(np.square(values).mean(axis=0)))
+    slopes = ", ".join(f"{float(row['drift_a_ns']):.1e}" for row in some)
+    return [cell.replace("e-0", "e-") for cell in (*stds, slopes)]
 
 
 def energy_balances() -> str:

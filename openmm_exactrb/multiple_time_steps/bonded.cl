@@ -1,7 +1,8 @@
 // Forces of bonds, angles, torsions, maps of two torsions and pairs of atoms within a block of clusters, with the
 // formulas of openmm_exactrb.multiple_time_steps.bonded_forces, and of custom forces. Numbers have the type SCALAR, which is
 // `fine`, or double where float is not accurate enough. If `fine` is float, `split` contains for each position the nearest
-// float and the rest, so that differences of positions have a relative error of float. On processors, a thread evaluates AT_ONCE terms at once, and NUMERIC is a vector with a number of each (LANE).
+// float and the rest, so that differences of positions have a relative error of float. On processors, a thread evaluates
+// AT_ONCE terms at once, and NUMERIC is a vector with a number of each (LANE).
 //
 // Tables are stored column by column: number k of term t is numbers[k*count+t]. The atoms of a term are given by their
 // indices in the block. A block adds forces only to its own atoms, the first `own` of these indices. A term that
@@ -160,7 +161,7 @@ DEVICE inline void add_pairs(IN_BLOCK) {
     }
 }
 
-// Float is not accurate enough for any energy, and for the position within a patch of a map.
+// Float is not accurate enough for every expression of a custom force, nor for the position within a patch of a map.
 #undef SCALAR
 #undef NUMERIC
 #undef BETWEEN

@@ -14,7 +14,7 @@ from openmm_exactrb.engines.native.flexible import blocks
 from openmm_exactrb.engines.native.flexible.molecules import require_few_terms
 from openmm_exactrb.errors import NotServedError
 from peptides import in_water, peptide, violations
-from places import REFERENCE, device_platform
+from places import device_platform
 from starts import held
 
 pytestmark = [pytest.mark.library, pytest.mark.opencl]
@@ -204,7 +204,7 @@ def test_the_balance_with_fast_groups_without_a_kernel_is_refused_where_drifts_e
 def refusal(system, x, **options):
     """Return what the integrator says when the native engine is asked for."""
     integrator = rb.ExactRigidBodyIntegrator(0.002, engine="native", **({"scheme": "S2_2"} | options))
-    context = openmm.Context(copy.deepcopy(system), integrator, REFERENCE)
+    context = openmm.Context(copy.deepcopy(system), integrator, device_platform())
     context.setPositions(x)
     with pytest.raises(ValueError) as error:  # noqa: PT011  # the sentence is what is tested
         integrator.step(1)

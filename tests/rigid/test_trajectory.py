@@ -23,7 +23,7 @@ pytestmark = [pytest.mark.library, pytest.mark.opencl]
 LONG = pytest.mark.validate
 STEPS = 20
 # Of the order of summation in the forces; by force-gradient kicks differences are multiplied.
-DOUBLE, MIXED = 1e-11, 1e-6
+DOUBLE, MIXED = 1e-11, 2e-8
 
 
 def stepped(contexts, n=STEPS):

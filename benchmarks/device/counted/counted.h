@@ -40,7 +40,6 @@ struct Float {
 };
 inline Double::Double(Float x) : v(x.v) { counts.convert++; }
 
-template <class T> using is_wide = std::enable_if_t<std::is_same_v<T, Double> || std::is_same_v<T, double>, int>;
 #define OPERATOR(op, kind) \
     inline Double operator op(Double a, Double b) { counts.kind++; return Double(a.v op b.v); } \
     template <class T, std::enable_if_t<std::is_arithmetic_v<T>, int> = 0> Double operator op(Double a, T b) { return a op Double(b); } \

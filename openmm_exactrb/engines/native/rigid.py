@@ -40,7 +40,6 @@ _TABLES = ("kind", "kinds", "atoms", "sites", "masses", "constants")
 _CONTEXT = ("posq", "posqCorrection", "velm", "places", "box")
 # Pattern of a function in the source of a user's move; the group is the name of the function.
 _FUNCTION = re.compile(r"\bDEVICE\s+(?:inline\s+)?\w+\s+(\w+)\s*\(")
-# Bits for the properties of a segment, as in kernels/rigid.cl.
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,6 @@ from openmm_exactrb.support.types import Array, Indices
 THREADS = 256
 #: The kernel that performs inner steps.
 INNER_STEPS = "inner_steps"
-# Bits for the actions of a launch in addition to its moves, as in kernels/layout.cl.
 _CONTEXT = ("posq", "posqCorrection", "velm", "force", "places", "box")
 _FORCES = ("memory", "differences", "here", "push", "seen", "exchanged", "heat")
 _ATOMS = ("atoms", "bodies", "inverse")

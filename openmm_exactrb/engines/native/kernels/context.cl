@@ -64,8 +64,9 @@ DEVICE inline void read_position(GLOBAL const real4* posq, GLOBAL const real4* p
 }
 
 // Convert a number in fixed point. Conversions of 64 bits are as slow as operations in double precision.
+#define FIXED_POINT 4294967296.0
 DEVICE inline fine from_fixed(mm_long x) {
-    return (fine) (int) (x>>32)+(fine) (unsigned int) x*REAL(1.0/4294967296.0);
+    return (fine) (int) (x>>32)+(fine) (unsigned int) x*REAL(1.0/FIXED_POINT);
 }
 
 DEVICE inline void read_force(GLOBAL const component* force, int slot, fine* f) {

@@ -1,6 +1,5 @@
 // Sums of forces in fixed point, like OpenMM's sums, so that the order does not affect the result.
 
-#define FIXED_POINT 4294967296.0
 #define LARGEST_FORCE 1e9f
 typedef mm_ulong term_sum;
 #define OF_SUM(sum) from_fixed((mm_long) (sum))
